@@ -1,0 +1,157 @@
+"""One step component: what the framework asks of an FMU or of a Python class, and nothing more.
+
+The life cycle is the FMI standard's (FMI 3.0, sections 2.3 and 4.2): instantiate, set start values, initialise, then
+either Co-Simulation (`step`) or Model Exchange (states, derivatives, events), then terminate. Values cross this boundary
+as flat float64 arrays, row-major; an adapter converts to the variable's own type.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Value = float | int | bool | str
+
+
+class Interface(StrEnum):
+    """How a component is stepped."""
+
+    MODEL_EXCHANGE = "model-exchange"
+    CO_SIMULATION = "co-simulation"
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One variable, as FMI describes it.
+
+    Attributes:
+        name: as the FMU writes it, without an index.
+        causality: `input`, `output`, `parameter`, `structuralParameter`, `local`, `independent`, `calculatedParameter`.
+        variability: `continuous`, `discrete`, `fixed`, `tunable`, `constant`.
+        dtype: FMI 3.0's type name: `Float64`, `Int64`, `Int32`, `Boolean`, `Enumeration`, `String`, …
+        shape: () for a scalar; dimensions that depend on structural parameters are resolved.
+        references: value references. FMI 3.0: one, whatever the shape. FMI 2.0: one per element, row-major, where the
+            elements `name[1]`, `name[2]` (or `name[1,1]`, …) of a flattened array are gathered under the array's name.
+        unit: as declared, or None.
+        start: start value as declared (flat), or None.
+        items: names of an enumeration's items to their values.
+        dependencies: for outputs, the names of the inputs that feed through directly; None where the FMU does not say
+            (then every input must be assumed). For state derivatives it is unused.
+    """
+
+    name: str
+    causality: str
+    variability: str
+    dtype: str
+    shape: tuple[int, ...] = ()
+    references: tuple[int, ...] = ()
+    unit: str | None = None
+    start: tuple[Value, ...] | None = None
+    description: str = ""
+    items: Mapping[str, int] = field(default_factory=dict)
+    dependencies: tuple[str, ...] | None = None
+
+    @property
+    def size(self) -> int:
+        """How many numbers it holds."""
+        return int(np.prod(self.shape, dtype=np.int64))
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a component says of itself before it is instantiated.
+
+    Attributes:
+        model: model name.
+        fmi: "2.0", "3.0" or "python".
+        interfaces: those that it offers.
+        variables: by name, in the file's order; arrays of FMI 2.0 gathered, dimensions for the given structural parameters.
+        platforms: those it has a binary for (FMUs only).
+        sha256: of the FMU file, or of the source file of a Python class.
+        n_event_indicators: Model Exchange: number of event indicators.
+        variable_step: Co-Simulation: whether it accepts communication steps of different lengths.
+        can_get_and_set_state: whether it can be saved and restored.
+    """
+
+    model: str
+    fmi: str
+    interfaces: tuple[Interface, ...]
+    variables: Mapping[str, Variable]
+    platforms: tuple[str, ...] = ()
+    sha256: str = ""
+    n_event_indicators: int = 0
+    variable_step: bool = True
+    can_get_and_set_state: bool = False
+
+
+class Component(ABC):
+    """A live instance. Every method raises `ComponentError` with the component's last log line when it fails."""
+
+    name: str
+    interface: Interface
+    description: Description
+
+    # --- values -----------------------------------------------------------------------------------------------------
+    @abstractmethod
+    def get(self, variable: Variable) -> Floats:
+        """Flat values of one numeric variable, shape (variable.size,)."""
+
+    @abstractmethod
+    def set(self, variable: Variable, values: Floats) -> None:
+        """Set one numeric variable from flat values, shape (variable.size,)."""
+
+    @abstractmethod
+    def start(self, variable: Variable, values: Sequence[Value]) -> None:
+        """Set a start value or parameter of any type before initialisation; enumeration items by name or number."""
+
+    # --- life cycle -------------------------------------------------------------------------------------------------
+    @abstractmethod
+    def enter_initialization(self, start_time: float, stop_time: float) -> None: ...
+
+    @abstractmethod
+    def exit_initialization(self) -> None:
+        """Leaves a Model Exchange component in Event Mode, a Co-Simulation one ready for `step`."""
+
+    @abstractmethod
+    def terminate(self) -> None:
+        """Terminate and free. Calling it twice, or after a failure, does no harm."""
+
+    # --- Co-Simulation ----------------------------------------------------------------------------------------------
+    def step(self, time: float, step: float) -> None:
+        """Advance from `time` by `step` seconds with the inputs held."""
+        raise NotImplementedError
+
+    # --- Model Exchange ---------------------------------------------------------------------------------------------
+    n_states: int = 0
+
+    def set_time(self, time: float) -> None:
+        raise NotImplementedError
+
+    def get_states(self) -> Floats:
+        raise NotImplementedError
+
+    def set_states(self, states: Floats) -> None:
+        raise NotImplementedError
+
+    def derivatives(self) -> Floats:
+        raise NotImplementedError
+
+    def completed_step(self) -> bool:
+        """Tell the component that an integration step is final; True if it wants Event Mode."""
+        raise NotImplementedError
+
+    def enter_event_mode(self) -> None:
+        raise NotImplementedError
+
+    def update_discrete_states(self) -> float | None:
+        """Iterate discrete states to their fixed point (with a limit); the next time event in seconds, or None."""
+        raise NotImplementedError
+
+    def enter_continuous_time_mode(self) -> None:
+        raise NotImplementedError

@@ -1,0 +1,365 @@
+"""The micro-step loop of one agent, in Python: how its components advance together from one tick to the next.
+
+It serves agents with a component in Python and is the reference for the native loop (`cosim.kernel`), which carries out
+the same floating-point operations in the same order and so gives the same bits.
+
+Between two events (ticks, arrivals, time events of a component) the interval is cut into equal micro steps no longer
+than the coupling's step. Over a micro step from t to t + h:
+
+- `joint`: all states are integrated together, Runge-Kutta 4 or Dormand-Prince 5(4).
+- `jacobi`: every component steps with the others' outputs at t held.
+- `gauss-seidel`: in the file's order; a component sees the newest outputs, held.
+- `midpoint`: in the file's order. Outputs of components that step later are extrapolated to the middle of the step from
+  their last two values. A component that reads components that have stepped already makes two half steps, the first
+  with their outputs at t, the second with those at t + h: their mean is right to second order, and its own outputs at
+  t + h see the inputs at t + h, so that direct feedthrough costs no order. It needs no optional FMI capability.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.component import Component, Floats
+from cosim.errors import ComponentError
+from cosim.mailbox import Updates
+from cosim.plan import CouplingPlan, Integrator, Method
+from cosim.wiring import Direction, Transfer, Wiring
+from network.units import NANOSECONDS_PER_SECOND, to_seconds
+
+EVENT_ITERATIONS = 100
+"""How often the components of an agent may change each other's inputs at one instant."""
+
+
+class LoopState:
+    """What a loop remembers from one call to the next; both loops work on the same memory.
+
+    Attributes:
+        signals: (n_signals,) see `Wiring`.
+        previous: (n_signals,) signals at the start of the previous micro step (`midpoint`).
+        steps: (2,) length of the previous micro step (`midpoint`) and proposed length of the next one
+            (`dormand-prince`); 0 before the first.
+        next_event: (n_components,) time of each component's next time event in seconds, infinity for none.
+        time: (1,) the time reached, for error messages.
+    """
+
+    def __init__(self, signals: Floats, n_components: int) -> None:
+        self.signals = signals
+        self.previous = signals.copy()
+        self.steps = np.zeros(2)
+        self.next_event = np.full(n_components, math.inf)
+        self.time = np.zeros(1)
+
+
+class PythonLoop:
+    """The loop over any components."""
+
+    def __init__(
+        self, wiring: Wiring, components: Sequence[Component], coupling: CouplingPlan, state: LoopState
+    ) -> None:
+        self._wiring = wiring
+        self._components = components
+        self._coupling = coupling
+        self._state = state
+        ends = np.cumsum([0, *(component.n_states for component in components)])
+        self._states = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+
+    # --- life cycle -------------------------------------------------------------------------------------------------
+    def initialise(self, start_ns: int, stop_ns: int) -> None:
+        """Initialise all components together, handle the events of the start and read the first sample."""
+        wiring, signals = self._wiring, self._state.signals
+        self._state.time[0] = to_seconds(start_ns)
+        for component in self._components:
+            component.enter_initialization(to_seconds(start_ns), to_seconds(stop_ns))
+        self._carry_out(wiring.listen)
+        for gets in wiring.outputs:
+            self._carry_out(gets)
+        for _ in self._components:  # start values may depend on inputs: as many sweeps as the longest chain
+            for sets, gets in zip(wiring.inputs, wiring.outputs, strict=True):
+                self._carry_out(sets)
+                self._carry_out(gets)
+        for component in self._components:
+            component.exit_initialization()
+        if self._coupling.method is Method.JOINT:
+            self._iterate_events()
+        else:
+            for gets in wiring.outputs:
+                self._carry_out(gets)
+        self._carry_out(wiring.sample)
+        self._state.previous[:] = signals
+
+    def advance(self, start_ns: int, end_ns: int, updates: Updates) -> None:
+        """From one tick to the next, breaking at each arrival; afterwards the signals hold the sample of `end_ns`.
+
+        Args:
+            start_ns: the tick.
+            end_ns: the next one.
+            updates: what changes in the mailbox, in [start_ns, end_ns).
+
+        Raises:
+            ComponentError: a component failed, or a state or output is not finite.
+        """
+        time_ns = start_ns
+        first = 0
+        while first < len(updates):
+            arrival_ns = int(updates.arrival_ns[first])
+            last = first
+            while last < len(updates) and int(updates.arrival_ns[last]) == arrival_ns:
+                last += 1
+            self._integrate(time_ns, arrival_ns)
+            for i in range(first, last):
+                self._deliver(updates, i)
+            self._event(arrival_ns, listen=True)
+            time_ns, first = arrival_ns, last
+        self._integrate(time_ns, end_ns)
+        self._event(end_ns, listen=False)
+        self._carry_out(self._wiring.sample)
+
+    # --- events -----------------------------------------------------------------------------------------------------
+    def _deliver(self, updates: Updates, i: int) -> None:
+        mailbox, signals = self._wiring.mailbox, self._state.signals
+        slot = int(updates.slot[i])
+        signals[mailbox.values[slot]] = updates.values[i]
+        signals[mailbox.stamp[slot]] = updates.stamp[i]
+        signals[mailbox.time[slot]] = updates.time[i]
+
+    def _event(self, time_ns: int, *, listen: bool) -> None:
+        """A tick, an arrival or a time event. Co-Simulation components only get their new inputs."""
+        self._state.time[0] = to_seconds(time_ns)
+        joint = self._coupling.method is Method.JOINT
+        if joint:
+            for component in self._components:
+                component.enter_event_mode()
+        if listen:
+            self._carry_out(self._wiring.listen)
+        if joint:
+            self._iterate_events()
+
+    def _iterate_events(self) -> None:
+        """From Event Mode to Continuous-Time Mode: update discrete states until no connected value changes any more."""
+        signals, components = self._state.signals, self._components
+        self._carry_out(self._wiring.propagate)
+        for _ in range(EVENT_ITERATIONS):
+            for c, component in enumerate(components):
+                event = component.update_discrete_states()
+                self._state.next_event[c] = math.inf if event is None else event
+            before = signals.copy()
+            self._carry_out(self._wiring.propagate)
+            if np.array_equal(before, signals):
+                break
+        else:
+            raise ComponentError(
+                components[0].name, f"the event iteration did not settle within {EVENT_ITERATIONS} rounds"
+            )
+        for component in components:
+            component.enter_continuous_time_mode()
+
+    # --- between events ---------------------------------------------------------------------------------------------
+    def _integrate(self, start_ns: int, end_ns: int) -> None:
+        """From one event to the next, breaking at time events of the components."""
+        method = self._coupling.method
+        while start_ns < end_ns:
+            stop_ns = end_ns
+            if method is Method.JOINT:
+                for event in self._state.next_event.tolist():
+                    if to_seconds(start_ns) < event < to_seconds(end_ns):
+                        event_ns = math.floor(event * NANOSECONDS_PER_SECOND + 0.5)
+                        if start_ns < event_ns < stop_ns:
+                            stop_ns = event_ns
+                if self._coupling.integrator is Integrator.RK4:
+                    self._runge_kutta(start_ns, stop_ns)
+                else:
+                    self._dormand_prince(start_ns, stop_ns)
+                if stop_ns < end_ns:
+                    self._event(stop_ns, listen=False)
+            else:
+                self._step_components(start_ns, stop_ns)
+            start_ns = stop_ns
+
+    def _micro_steps(self, start_ns: int, end_ns: int) -> tuple[int, float]:
+        """How many equal micro steps, and their length in seconds."""
+        n = -((start_ns - end_ns) // self._coupling.step_ns)
+        return n, to_seconds(end_ns - start_ns) / n
+
+    # --- joint ------------------------------------------------------------------------------------------------------
+    def _runge_kutta(self, start_ns: int, end_ns: int) -> None:
+        """The classical Runge-Kutta method of order 4."""
+        n, h = self._micro_steps(start_ns, end_ns)
+        start, end = to_seconds(start_ns), to_seconds(end_ns)
+        half, sixth = 0.5 * h, h / 6.0
+        x = self._get_states()
+        for i in range(n):
+            t = start + i * h
+            k1 = self._derivatives(t, x)
+            k2 = self._derivatives(t + half, x + half * k1)
+            k3 = self._derivatives(t + half, x + half * k2)
+            k4 = self._derivatives(t + h, x + h * k3)
+            x = x + sixth * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+            x = self._accept(end if i + 1 == n else start + (i + 1) * h, x)
+
+    def _dormand_prince(self, start_ns: int, end_ns: int) -> None:
+        """The embedded pair of Dormand and Prince (1980), local extrapolation, elementary step size control."""
+        coupling = self._coupling
+        start, end = to_seconds(start_ns), to_seconds(end_ns)
+        largest = to_seconds(coupling.step_ns)
+        t = start
+        x = self._get_states()
+        h = self._state.steps[1].item() or largest
+        k = [self._derivatives(t, x)]
+        while t < end:
+            h = min(h, largest)
+            final = t + h >= end - 1e-12 * largest
+            length = end - t if final else h
+            for row, c in zip(_DP_A, _DP_C, strict=True):
+                k.append(self._derivatives(t + c * length, x + length * _combine(row, k)))
+            new = x + length * _combine(_DP_B, k)
+            k.append(self._derivatives(t + length, new))
+            error = length * _combine(_DP_E, k)
+            scale = coupling.absolute_tolerance + coupling.relative_tolerance * np.maximum(np.abs(x), np.abs(new))
+            ratio = float(np.max(np.abs(error) / scale)) if x.size else 0.0
+            factor = 5.0 if ratio == 0.0 else min(5.0, max(0.2, 0.9 * math.pow(ratio, -0.2)))
+            if not math.isfinite(ratio):
+                self._check_states(new)
+                factor = 0.2
+            if ratio <= 1.0:
+                t = end if final else t + length
+                x = self._accept(t, new)
+                k = [k[-1]]
+            else:
+                k = [k[0]]
+            if ratio > 1.0 or not final:  # a step cut short by an event says nothing about the next one's length
+                h = length * factor
+            if h < 1e-12 * largest:
+                raise ComponentError(
+                    self._components[0].name,
+                    f"the step size fell below {h:.3g} s without meeting the tolerances; "
+                    "loosen relative_tolerance or absolute_tolerance, or look for a discontinuity",
+                )
+        self._state.steps[1] = h
+
+    def _derivatives(self, time: float, x: Floats) -> Floats:
+        """Derivatives of all states, with outputs carried to inputs in between."""
+        self._state.time[0] = time
+        for component, part in zip(self._components, self._states, strict=True):
+            component.set_time(time)
+            if component.n_states:
+                component.set_states(x[part])
+        self._carry_out(self._wiring.propagate)
+        return np.concatenate([component.derivatives() for component in self._components])
+
+    def _get_states(self) -> Floats:
+        return np.concatenate([component.get_states() for component in self._components])
+
+    def _accept(self, time: float, x: Floats) -> Floats:
+        """Make a step final. The states afterwards: an event may change them."""
+        self._state.time[0] = time
+        self._check_states(x)
+        wants_event = False
+        for component, part in zip(self._components, self._states, strict=True):
+            component.set_time(time)
+            if component.n_states:
+                component.set_states(x[part])
+        for component in self._components:
+            wants_event |= component.completed_step()
+        if not wants_event:
+            return x
+        for component in self._components:
+            component.enter_event_mode()
+        self._iterate_events()
+        return self._get_states()
+
+    def _check_states(self, x: Floats) -> None:
+        for component, part in zip(self._components, self._states, strict=True):
+            bad = np.flatnonzero(~np.isfinite(x[part]))
+            if bad.size:
+                raise ComponentError(component.name, f"continuous state {bad[0] + 1} is not finite")
+
+    # --- Co-Simulation ----------------------------------------------------------------------------------------------
+    def _step_components(self, start_ns: int, end_ns: int) -> None:
+        n, h = self._micro_steps(start_ns, end_ns)
+        start = to_seconds(start_ns)
+        step = {Method.JACOBI: self._jacobi, Method.GAUSS_SEIDEL: self._gauss_seidel, Method.MIDPOINT: self._midpoint}[
+            self._coupling.method
+        ]
+        for i in range(n):
+            self._state.time[0] = start + i * h
+            step(start + i * h, h)
+
+    def _jacobi(self, t: float, h: float) -> None:
+        for c, component in enumerate(self._components):
+            self._carry_out(self._wiring.inputs[c])
+            component.step(t, h)
+        for gets in self._wiring.outputs:
+            self._carry_out(gets)
+
+    def _gauss_seidel(self, t: float, h: float) -> None:
+        for c, component in enumerate(self._components):
+            self._carry_out(self._wiring.inputs[c])
+            component.step(t, h)
+            self._carry_out(self._wiring.outputs[c])
+
+    def _midpoint(self, t: float, h: float) -> None:
+        state, owner = self._state, self._wiring.owner
+        signals = state.signals
+        before = signals.copy()
+        previous_step = state.steps[0].item()
+        ratio = 0.5 * h / previous_step if previous_step > 0.0 else 0.0
+        middle = before + ratio * (before - state.previous)
+        half = 0.5 * h
+        for c, component in enumerate(self._components):
+            earlier = (owner >= 0) & (owner < c)
+            inputs = self._wiring.inputs[c]
+            if any(np.any(earlier[transfer.positions]) for transfer in inputs):
+                self._carry_out(inputs, np.where(earlier, before, middle))
+                component.step(t, half)
+                self._carry_out(inputs, np.where(earlier, signals, middle))
+                component.step(t + half, half)
+            else:
+                self._carry_out(inputs, middle)
+                component.step(t, h)
+            self._carry_out(self._wiring.outputs[c])
+        state.previous[:] = before
+        state.steps[0] = h
+
+    # --- transfers --------------------------------------------------------------------------------------------------
+    def _carry_out(self, transfers: Iterable[Transfer], source: Floats | None = None) -> None:
+        """Move values; SET reads from `source`, by default the signals."""
+        signals = self._state.signals
+        for transfer in transfers:
+            component = self._components[transfer.component]
+            offset = 0
+            for variable in transfer.variables:
+                positions = transfer.positions[offset : offset + variable.size]
+                offset += variable.size
+                if transfer.direction is Direction.SET:
+                    component.set(variable, (signals if source is None else source)[positions])
+                    continue
+                values = component.get(variable)
+                if not np.all(np.isfinite(values)):
+                    raise ComponentError(component.name, f"output {variable.name} is not finite")
+                signals[positions] = values
+
+
+def _combine(weights: Sequence[float], stages: Sequence[NDArray[np.float64]]) -> Floats:
+    """Weighted sum of the first stages, from the first to the last, stages of weight zero included."""
+    total = weights[0] * stages[0]
+    for weight, stage in zip(weights[1:], stages[1 : len(weights)], strict=True):
+        total = total + weight * stage
+    return total
+
+
+_DP_C = (1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0)
+_DP_A = (
+    (1 / 5,),
+    (3 / 40, 9 / 40),
+    (44 / 45, -56 / 15, 32 / 9),
+    (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
+    (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
+)
+_DP_B = (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84)
+_DP_E = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
+"""Weights of order 5 less those of the embedded order 4."""

@@ -1,0 +1,99 @@
+"""The errors that a user can meet, and how they are printed.
+
+`ConfigError` collects every problem of a file before the first step (exit code 2); `RunError` names the agent, the
+component and the simulated time of a failure during a run (exit code 3).
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Severity(StrEnum):
+    ERROR = "error"
+    WARNING = "warning"
+
+
+@dataclass(frozen=True, order=True)
+class Location:
+    """A place in a file; line and column count from 1, as editors do."""
+
+    file: str
+    line: int = 0
+    column: int = 0
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}:{self.column}" if self.line else self.file
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing that is wrong: what, where, and what to write instead (inside `message`)."""
+
+    message: str
+    where: Location | None = None
+    severity: Severity = Severity.ERROR
+
+    def __str__(self) -> str:
+        prefix = f"{self.where}: " if self.where else ""
+        return f"{prefix}{self.severity}: {self.message}"
+
+
+class CosimError(Exception):
+    """Base of every error that `cosim` prints without a traceback."""
+
+    exit_code = 2
+
+
+class ConfigError(CosimError):
+    """Everything that is wrong with a scenario, all at once."""
+
+    def __init__(self, problems: Iterable[Problem]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+
+class ComponentError(CosimError):
+    """A component refused or failed; the agent adds who and when, and raises `RunError`.
+
+    Attributes:
+        component: name of the component inside its agent.
+        log: last line that the component itself logged, if any.
+    """
+
+    exit_code = 3
+
+    def __init__(self, component: str, message: str, log: str | None = None) -> None:
+        self.component = component
+        self.message = message
+        self.log = log
+        super().__init__(f"{component}: {message}" + (f" (its last log line: {log})" if log else ""))
+
+
+class RunError(CosimError):
+    """A run failed: which agent, which component, at which simulated time, and the component's own last log line."""
+
+    exit_code = 3
+
+    def __init__(self, agent: str, component: str, time: float, message: str, log: str | None = None) -> None:
+        self.agent = agent
+        self.component = component
+        self.time = time
+        self.message = message
+        self.log = log
+        text = f"agent {agent}, component {component}, at t = {time:.9g} s: {message}"
+        super().__init__(text + (f"\n  its last log line: {log}" if log else ""))
+
+
+def suggest(wrong: str, known: Iterable[str]) -> str:
+    """` (did you mean 'x'?)` for the nearest known name, else the list of known names if it is short, else nothing."""
+    names = list(known)
+    nearest = difflib.get_close_matches(wrong, names, n=1, cutoff=0.6)
+    if nearest:
+        return f" (did you mean {nearest[0]!r}?)"
+    if names and len(names) <= 12:
+        return f" (known: {', '.join(names)})"
+    return ""

@@ -1,0 +1,164 @@
+"""What will run: indices instead of names, numbers instead of distributions, every choice made.
+
+A plan is immutable, and is all that an agent, the emulator and the master need: a worker process can be handed one and
+nothing else. It is built from a validated spec by `cosim.planning`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from cosim.component import Description, Value, Variable
+from network.channel import ChannelModel
+from network.messages import Links, MessageLayout
+from network.units import to_seconds
+
+
+class Method(StrEnum):
+    """How the components of an agent are coupled between two events."""
+
+    JOINT = "joint"
+    MIDPOINT = "midpoint"
+    GAUSS_SEIDEL = "gauss-seidel"
+    JACOBI = "jacobi"
+
+
+class Integrator(StrEnum):
+    """The one-step method of the `joint` coupling."""
+
+    RK4 = "rk4"
+    DORMAND_PRINCE = "dormand-prince"  # the adaptive embedded pair 5(4)
+
+
+class Loop(StrEnum):
+    """Who runs the micro steps. Both give the same bits."""
+
+    NATIVE = "native"
+    PYTHON = "python"
+
+
+@dataclass(frozen=True)
+class CouplingPlan:
+    """Micro step in nanoseconds (the largest one, for the adaptive pair) and tolerances."""
+
+    method: Method
+    step_ns: int
+    integrator: Integrator = Integrator.RK4
+    relative_tolerance: float = 1e-8
+    absolute_tolerance: float = 1e-10
+    loop: Loop = Loop.NATIVE
+
+
+@dataclass(frozen=True)
+class ComponentPlan:
+    """One component: an FMU (`path`) or a Python class (`python`, a dotted path).
+
+    Attributes:
+        start: start values and parameters by variable name, flat, numbers drawn; structural parameters among them.
+    """
+
+    name: str
+    path: Path | None
+    python: str | None
+    description: Description
+    start: Mapping[str, tuple[Value, ...]]
+
+
+@dataclass(frozen=True)
+class Port:
+    """A variable of a component of an agent."""
+
+    component: int
+    variable: Variable
+
+
+@dataclass(frozen=True)
+class Connection:
+    """An output that feeds an input of the same size."""
+
+    source: Port
+    target: Port
+
+
+@dataclass(frozen=True)
+class MailboxPlan:
+    """Which inputs the mailbox feeds; None where the agent does not ask for it.
+
+    For n in-neighbours and a message variable of size m, the input of that variable has n*m numbers, one row per
+    in-neighbour; `stamp`, `time` and `weight` have n.
+    """
+
+    values: Mapping[str, Port]
+    stamp: Port | None
+    time: Port | None
+    weight: Port | None
+
+
+@dataclass(frozen=True)
+class AgentPlan:
+    """One agent.
+
+    Attributes:
+        neighbours: indices of the in-neighbours, in the order of the mailbox rows.
+        weights: a_ij of each in-neighbour.
+        publish: where each variable of the message layout is read; empty where nobody hears the agent.
+        record: what is written to the trajectories, as (`component.variable`, port).
+    """
+
+    index: int
+    name: str
+    components: tuple[ComponentPlan, ...]
+    connections: tuple[Connection, ...]
+    publish: tuple[Port, ...]
+    mailbox: MailboxPlan
+    neighbours: tuple[int, ...]
+    weights: tuple[float, ...]
+    coupling: CouplingPlan
+    record: tuple[tuple[str, Port], ...]
+
+
+@dataclass(frozen=True)
+class AnalysisPlan:
+    """What the report and the checks call position, velocity and so on; `component.variable`, None where not given."""
+
+    position: str | None = None
+    velocity: str | None = None
+    estimate: str | None = None
+    parameters: str | None = None
+    reference_velocity: tuple[float, ...] | None = None
+    leaders: tuple[str, ...] = ()
+    k_eta: Mapping[str, float] | None = None  # by agent; both None unless the agents run the paper's scheme
+    lambda_: Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A whole run.
+
+    Attributes:
+        ticks: number of periods to advance; trajectories have ticks + 1 rows per agent.
+        channels: profiles by name; `link_channel[i]` names that of `links` row i.
+        scenario: the resolved scenario as YAML text; running it gives the same digest.
+    """
+
+    name: str
+    title: str
+    seed: int
+    period_ns: int
+    ticks: int
+    layout: MessageLayout
+    links: Links
+    weights: tuple[float, ...]
+    channels: Mapping[str, ChannelModel]
+    link_channel: tuple[str, ...]
+    agents: tuple[AgentPlan, ...]
+    analysis: AnalysisPlan
+    scenario: str
+
+    @property
+    def period(self) -> float:
+        """T in seconds."""
+        return to_seconds(self.period_ns)
