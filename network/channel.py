@@ -1,8 +1,8 @@
-"""Channel models: what the network does to every message of an edge.
+"""What a channel model is: what the network does to every message of an edge.
 
 A model is one small class: its fields are its YAML (validated, and part of the JSON schema), its `open` makes the live
 channel that serves every edge with that profile at once. Random numbers come from `network.draws`, keyed by edge and
-tick, so that no edge's fate depends on another's.
+tick, so that no edge's fate depends on another's. To add one, write the class and name it in `network.models`.
 """
 
 from __future__ import annotations
@@ -34,18 +34,22 @@ class Transmission:
 
 
 class Channel(ABC):
-    """A live channel over `n` edges that share a profile."""
+    """A live channel over `n` edges that share a profile.
+
+    What it does depends on the edges, the tick and the draws alone, never on what the messages say: the emulator asks
+    for several ticks ahead.
+    """
 
     history: int = 0
     """How many ticks back a sample that it sends may lie."""
 
     @abstractmethod
     def transmit(self, tick: int) -> Transmission:
-        """What leaves at `tick`. Called once per tick, in order."""
+        """What leaves at `tick`. Called once per tick, in order from 0."""
 
 
 class ChannelModel(BaseModel, ABC):
-    """A profile as the user wrote it."""
+    """A profile as the user wrote it. Every model also has a field `model`, a literal: its name in YAML."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -57,6 +61,20 @@ class ChannelModel(BaseModel, ABC):
     def min_delay_ns(self) -> int:
         """No message arrives earlier than this after it left."""
 
-    def age_bound_ns(self, period_ns: int) -> int | None:
-        """Largest age of information read at ticks that the model can produce, or None if it has no bound."""
+    def age_bound_ns(self, period_ns: int) -> int | None:  # noqa: ARG002 - part of the interface
+        """Largest age of information read at ticks that the model can produce, or None if it has no bound.
+
+        The age is that of `network.freshness`: at a tick, after what arrives at the tick itself.
+        """
         return None
+
+
+def ceil_to_tick(time_ns: int, period_ns: int) -> int:
+    """The first tick at or after a time, in nanoseconds."""
+    return -(-time_ns // period_ns) * period_ns
+
+
+def draw_delays(draws: Draws, tick: int, bounds_ns: tuple[int, int]) -> Ints:
+    """(n,) delays of a tick's messages, uniform over the whole nanoseconds from the lowest to the highest."""
+    low, high = bounds_ns
+    return draws.integers("delay", tick, low, high + 1)

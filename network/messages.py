@@ -68,13 +68,16 @@ class Fate(IntEnum):
 
 @dataclass(frozen=True)
 class Fates:
-    """Messages whose fate became known in one tick, in the total order.
+    """Messages whose fate became known in one tick, in the total order (arrival, receiver, sender, stamp, copy).
+
+    A loss is known at the tick at which the message was sent, anything else when it arrives. As the arrival of a lost
+    message is `NEVER`, the losses of a tick come first.
 
     Attributes:
         sender, receiver: (n,) indices of agents.
         stamp: (n,) tick at which the sample was taken.
         sent: (n,) tick at which it left.
-        arrival_ns: (n,) `NEVER` where lost.
+        arrival_ns: (n,) `NEVER` where lost; still to come where in flight.
         fate: (n,) values of `Fate`.
     """
 
@@ -92,6 +95,8 @@ class Fates:
 @dataclass(frozen=True)
 class Deliveries:
     """What reaches one agent during one tick, in the total order (arrival, sender, stamp, copy).
+
+    Superseded messages are among them: it is the mailbox that keeps the freshest stamp. Arrays are read only.
 
     Attributes:
         arrival_ns: (n,) exact time of arrival, in [kT, (k+1)T).

@@ -1,7 +1,7 @@
 """Quantities as users write them: `100 ms`, `2 %`. Time becomes an integer number of nanoseconds.
 
 Every type here is an annotated pydantic type, so that a spec or a channel model that uses it gets parsing, the error
-message and the JSON schema at once.
+message, the JSON schema and (in JSON mode) the way back to what users write at once.
 """
 
 from __future__ import annotations
@@ -10,12 +10,13 @@ import re
 from decimal import Decimal, InvalidOperation
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, WithJsonSchema
+from pydantic import AfterValidator, BeforeValidator, PlainSerializer, WithJsonSchema
 
 NANOSECONDS_PER_SECOND = 1_000_000_000
 
 _TIME_UNITS = {"ns": 1, "us": 10**3, "µs": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9}
-_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([^\s\d]*)\s*")
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)\s*([^\s\d]*)\s*")
+_LONGEST = 100 * 365 * 24 * 3600 * NANOSECONDS_PER_SECOND  # the sum of two such times still fits 64 bits
 
 
 def to_seconds(nanoseconds: int) -> float:
@@ -27,10 +28,10 @@ def parse_duration(value: Any) -> int:
     """Nanoseconds from `"100 ms"` or from a plain number of seconds.
 
     Raises:
-        ValueError: not a number with a unit of time, or finer than a nanosecond.
+        ValueError: not a number with a unit of time, finer than a nanosecond, or longer than a century.
     """
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
-        raise ValueError('a time is a number with a unit, such as "100 ms" or "0.1 s"')
+        raise ValueError('a time is a number with a unit, such as "100 ms" or "0.1 s"')  # noqa: TRY004 - for pydantic
     match = _QUANTITY.fullmatch(str(value))
     if match is None:
         raise ValueError(f'{value!r} is not a time; write a number with a unit, such as "100 ms" or "0.1 s"')
@@ -41,9 +42,38 @@ def parse_duration(value: Any) -> int:
         exact = Decimal(number) * _TIME_UNITS[unit or "s"]
     except InvalidOperation:  # pragma: no cover - the pattern admits only decimals
         raise ValueError(f"{value!r} is not a number") from None
+    if abs(exact) > _LONGEST:
+        raise ValueError(f"{value!r} is longer than a hundred years, more than the clock can count")
     if exact != exact.to_integral_value():
         raise ValueError(f"{value!r} is finer than a nanosecond, the resolution of the clock")
     return int(exact)
+
+
+def format_duration(nanoseconds: int) -> str:
+    """The exact text that `parse_duration` reads back, in the unit that people would choose: `100 ms`, `1.5 s`."""
+    unit = next((u for u in ("s", "ms", "us") if abs(nanoseconds) >= _TIME_UNITS[u]), "ns" if nanoseconds else "s")
+    number = f"{Decimal(nanoseconds) / _TIME_UNITS[unit]:f}"
+    return f"{number} {unit}"
+
+
+def parse_duration_range(value: Any) -> tuple[int, int]:
+    """Nanoseconds (lowest, highest) from one time, or from a list of two.
+
+    Raises:
+        ValueError: not a time, not two of them, or the first is the greater.
+    """
+    if not isinstance(value, (list, tuple)):
+        fixed = _not_negative(parse_duration(value))
+        return fixed, fixed
+    if len(value) != 2:
+        raise ValueError('write one time, such as "20 ms", or the lowest and the highest, such as [10 ms, 30 ms]')
+    low, high = (_not_negative(parse_duration(item)) for item in value)
+    if low > high:
+        raise ValueError(
+            f"the lowest, {format_duration(low)}, is more than the highest, {format_duration(high)}; "
+            f"write [{format_duration(high)}, {format_duration(low)}]"
+        )
+    return low, high
 
 
 def parse_probability(value: Any) -> float:
@@ -52,32 +82,70 @@ def parse_probability(value: Any) -> float:
     Raises:
         ValueError: not a number, or outside [0, 1].
     """
-    if isinstance(value, str) and value.strip().endswith("%"):
-        probability = float(value.strip()[:-1]) / 100
-    elif isinstance(value, bool) or not isinstance(value, (int, float, str)):
-        raise ValueError('a probability is a number from 0 to 1, or a percentage such as "2 %"')
-    else:
-        probability = float(value)
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise ValueError('a probability is a number from 0 to 1, or such as "2 %"')  # noqa: TRY004 - for pydantic
+    text = str(value).strip()
+    percent = text.endswith("%")
+    try:
+        number = float(text.removesuffix("%"))
+    except ValueError:
+        raise ValueError(f'{value!r} is no probability; write a number from 0 to 1, or such as "2 %"') from None
+    probability = number / 100 if percent else number
     if not 0.0 <= probability <= 1.0:
         raise ValueError(f"{value!r} is no probability: it must be from 0 to 1 (or from 0 % to 100 %)")
     return probability
 
 
-_TIME_SCHEMA = {
+def _not_negative(nanoseconds: int) -> int:
+    if nanoseconds < 0:
+        raise ValueError(f"{format_duration(nanoseconds)} is negative; it must be 0 or more")
+    return nanoseconds
+
+
+def _positive(nanoseconds: int) -> int:
+    if nanoseconds <= 0:
+        raise ValueError(f"{format_duration(nanoseconds)} is too short; it must be more than 0")
+    return nanoseconds
+
+
+def _format_range(durations: tuple[int, int]) -> str | list[str]:
+    low, high = durations
+    return format_duration(low) if low == high else [format_duration(low), format_duration(high)]
+
+
+_TIME_SCHEMA: dict[str, Any] = {
     "oneOf": [
         {"type": "number", "description": "seconds"},
         {"type": "string", "pattern": r"^\s*[+-]?[0-9.]+([eE][+-]?[0-9]+)?\s*(ns|us|µs|ms|s|min|h)?\s*$"},
     ]
 }
+_RANGE_SCHEMA: dict[str, Any] = {
+    "oneOf": [*_TIME_SCHEMA["oneOf"], {"type": "array", "items": _TIME_SCHEMA, "minItems": 2, "maxItems": 2}]
+}
+_AS_WRITTEN = PlainSerializer(format_duration, return_type=str, when_used="json")
 
-Duration = Annotated[int, BeforeValidator(parse_duration), Field(ge=0), WithJsonSchema(_TIME_SCHEMA)]
+Duration = Annotated[
+    int, BeforeValidator(parse_duration), AfterValidator(_not_negative), WithJsonSchema(_TIME_SCHEMA), _AS_WRITTEN
+]
 """Nanoseconds, at least 0."""
 
-PositiveDuration = Annotated[int, BeforeValidator(parse_duration), Field(gt=0), WithJsonSchema(_TIME_SCHEMA)]
+PositiveDuration = Annotated[
+    int, BeforeValidator(parse_duration), AfterValidator(_positive), WithJsonSchema(_TIME_SCHEMA), _AS_WRITTEN
+]
 """Nanoseconds, more than 0."""
+
+DurationRange = Annotated[
+    tuple[int, int],
+    BeforeValidator(parse_duration_range),
+    WithJsonSchema(_RANGE_SCHEMA),
+    PlainSerializer(_format_range, when_used="json"),
+]
+"""Nanoseconds (lowest, highest), each at least 0; one time stands for both."""
 
 Probability = Annotated[
     float,
     BeforeValidator(parse_probability),
-    WithJsonSchema({"oneOf": [{"type": "number", "minimum": 0, "maximum": 1}, {"type": "string", "pattern": "%$"}]}),
+    WithJsonSchema(
+        {"oneOf": [{"type": "number", "minimum": 0, "maximum": 1}, {"type": "string", "pattern": r"%\s*$"}]}
+    ),
 ]

@@ -1,0 +1,257 @@
+"""How fresh the information was: age of information, losses, and the (k*, h) of the paper's Assumption 1, from a log.
+
+A log is what became of every message that was sent at ticks 0, …, N - 1, and is known up to NT (exclusive).
+
+The **age of information** of an edge at time t is t minus the time at which the freshest sample that has arrived was
+taken: t - k_ij(t)·T (eq. k_t). Until the first arrival it counts from the start of the run, as if a sample of
+tick 0 had been there: what the receiver then assumes of its neighbour is about that time. Each arrival of a fresher
+sample ends a peak (Costa, Codreanu, Ephremides: "On the age of information in status update systems", 2016).
+
+**Assumption 1** asks of an edge that a sequence of samples, the first among ticks 0, …, k*, and each at most k* ticks
+after the one before, arrive within h of being taken. A log refutes pairs (k*, h) that are too small. `tolerance_front`
+gives those that it does not refute and that cannot be made smaller. (The largest age read at ticks, which the paper
+calls h*, is another number, and usually less than the smallest k*·T + h.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from network.messages import Fate, Fates, Ints, Links
+from network.units import to_seconds
+
+_NEVER_ARRIVES = np.iinfo(np.int64).max
+
+
+@dataclass(frozen=True)
+class Span:
+    """What a log covers: messages sent at ticks 0, …, n_ticks - 1 (one at least), and what came before n_ticks·T."""
+
+    n_ticks: int
+    period_ns: int
+
+    @property
+    def end_ns(self) -> int:
+        """The time up to which fates are known, exclusive."""
+        return self.n_ticks * self.period_ns
+
+
+@dataclass(frozen=True)
+class EdgeLog:
+    """What became of the messages of one edge; the (n,) columns are those of `Fates`."""
+
+    stamp: Ints
+    sent: Ints
+    arrival_ns: Ints
+    fate: Ints
+
+
+def edge_logs(fates: Fates, links: Links) -> list[EdgeLog]:
+    """The log of a network, taken apart: one log per edge, in the order of `links`."""
+    n_agents = len(links.agents)
+    edge = fates.sender * n_agents + fates.receiver
+    order = np.argsort(edge, kind="stable")
+    wanted = links.sender * n_agents + links.receiver
+    begins = np.searchsorted(edge[order], wanted).tolist()
+    ends = np.searchsorted(edge[order], wanted, side="right").tolist()
+    columns = [column[order] for column in (fates.stamp, fates.sent, fates.arrival_ns, fates.fate)]
+    return [EdgeLog(*(column[i:j] for column in columns)) for i, j in zip(begins, ends, strict=True)]
+
+
+# --- age of information ----------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Age:
+    """Age of information of an edge over a log, in seconds.
+
+    Attributes:
+        mean: over time, from 0 to the end of the log.
+        peak_mean: mean of the ages just before each arrival of a fresher sample; NaN if there was none.
+        sup: least upper bound over time. The age jumps down at arrivals, so it need not be attained.
+        tick_mean, tick_sup: of the age read at the ticks 0, …, n_ticks - 1, after what arrives at the tick itself.
+    """
+
+    mean: float
+    peak_mean: float
+    sup: float
+    tick_mean: float
+    tick_sup: float
+
+
+def age_of_information(log: EdgeLog, span: Span) -> Age:
+    """Age of information of one edge; exact but for the rounding of the means."""
+    begin, taken = _freshest(log, span)
+    end = np.append(begin[1:], span.end_ns)
+    lasts = end > begin
+    begin, end, taken = begin[lasts], end[lasts], taken[lasts]
+    peaks = (end - taken).astype(np.float64)
+    middle = peaks - (end - begin) / 2
+    ticks = np.arange(span.n_ticks) * span.period_ns
+    at_ticks = ticks - taken[np.searchsorted(begin, ticks, side="right") - 1]
+    return Age(
+        mean=float(np.average(middle, weights=end - begin)) / 1e9,
+        peak_mean=float(np.mean(peaks[:-1])) / 1e9 if len(peaks) > 1 else float("nan"),
+        sup=to_seconds(int((end - taken).max())),
+        tick_mean=float(np.mean(at_ticks)) / 1e9,
+        tick_sup=to_seconds(int(at_ticks.max())),
+    )
+
+
+def _freshest(log: EdgeLog, span: Span) -> tuple[Ints, Ints]:
+    """When each freshest sample came into force, from 0 on and in order, and when it was taken."""
+    fresh = log.fate == Fate.DELIVERED
+    arrival, stamp = log.arrival_ns[fresh], log.stamp[fresh]
+    order = np.lexsort((stamp, arrival))
+    first = np.zeros(1, np.int64)
+    return np.concatenate((first, arrival[order])), np.concatenate((first, stamp[order] * span.period_ns))
+
+
+# --- losses ----------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Traffic:
+    """Counts of an edge's messages over a log.
+
+    Attributes:
+        sent: messages that left, duplicates included.
+        delivered, superseded, lost, in_flight: by fate; they add up to `sent`.
+        delivery_ratio: share of those whose fate is known that arrived; NaN if there is none.
+        losses_in_a_row: longest run of losses in the order of sending.
+        never_sent: share of the samples that never left, of those that no longer can; NaN if there is none.
+    """
+
+    sent: int
+    delivered: int
+    superseded: int
+    lost: int
+    in_flight: int
+    delivery_ratio: float
+    losses_in_a_row: int
+    never_sent: float
+
+
+def traffic(log: EdgeLog, span: Span, history: int = 0) -> Traffic:
+    """Count the messages of one edge.
+
+    Args:
+        log: of the edge.
+        span: of the log.
+        history: how many ticks back a sample that the channel sends may lie (`Channel.history`): the last `history`
+            samples of the log may still be sent after its end and so are left out of `never_sent`.
+    """
+    delivered, superseded, lost, in_flight = (int(np.count_nonzero(log.fate == fate)) for fate in Fate)
+    arrived = delivered + superseded
+    in_order = np.lexsort((log.stamp, log.sent))
+    settled = max(0, span.n_ticks - history)
+    left = len(np.unique(log.stamp[log.stamp < settled]))
+    return Traffic(
+        sent=len(log.stamp),
+        delivered=delivered,
+        superseded=superseded,
+        lost=lost,
+        in_flight=in_flight,
+        delivery_ratio=arrived / (arrived + lost) if arrived + lost else float("nan"),
+        losses_in_a_row=_longest_run(log.fate[in_order] == Fate.LOST),
+        never_sent=1 - left / settled if settled else float("nan"),
+    )
+
+
+def _longest_run(flags: NDArray[np.bool_]) -> int:
+    breaks = np.flatnonzero(~np.concatenate(([False], flags, [False])))
+    return int(np.diff(breaks).max()) - 1
+
+
+# --- Assumption 1 ----------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Front:
+    """Pairs (k*, h) of which neither can be made smaller without making the other larger.
+
+    Attributes:
+        k_star: (n,) ticks, strictly decreasing.
+        h_ns: (n,) nanoseconds, strictly increasing. Empty where no pair will do: nothing ever arrived.
+    """
+
+    k_star: Ints
+    h_ns: Ints
+
+    def smallest_sum_ns(self, period_ns: int) -> int | None:
+        """The literal minimum of k*·T + h (eq. h_star) over the front; None where it is empty."""
+        return int((self.k_star * period_ns + self.h_ns).min()) if len(self.h_ns) else None
+
+
+def tolerance_front(log: EdgeLog, span: Span) -> Front:
+    """The smallest pairs (k*, h) of Assumption 1 that the log of an edge does not refute, for the delays h it shows.
+
+    The delay of a sample runs from when it was taken to its first arrival. The ends of the log count as follows. The
+    first sample in time may be that of tick k* at the latest. A sample that had not arrived by the end of the log, and
+    was not lost, may yet arrive: its delay is at least its age at the end, and is taken to be that. All samples after
+    the log may be in time: the gap at its end reaches to the first of them.
+
+    The exact front in O(N log N): samples are struck from a linked list in the order of falling delay, where the
+    largest gap can only grow.
+    """
+    delays, observed = _delays(log, span)
+    order = np.argsort(delays, kind="stable")
+    h = np.unique(observed)
+    in_time = np.searchsorted(delays[order], h, side="right")
+    return _pareto(_largest_gaps(order)[in_time - 1], h)
+
+
+def common_front(fronts: Sequence[Front]) -> Front:
+    """The front of the pairs (k*, h) that serve every edge: the paper's, "common to all (j, i)"."""
+    if not fronts or any(len(front.h_ns) == 0 for front in fronts):
+        return Front(np.zeros(0, np.int64), np.zeros(0, np.int64))
+    h = np.unique(np.concatenate([front.h_ns for front in fronts]))
+    h = h[h >= max(front.h_ns[0] for front in fronts)]
+    # An edge whose front steps down to the next k* at `step` needs the `before` of that step for every smaller h.
+    step = np.concatenate([front.h_ns[1:] for front in fronts])
+    before = np.concatenate([front.k_star[:-1] for front in fronts])
+    order = np.argsort(step, kind="stable")
+    at_least = max(front.k_star[-1] for front in fronts)
+    needed = np.maximum.accumulate(np.append(before[order], at_least)[::-1])[::-1]
+    return _pareto(needed[np.searchsorted(step[order], h, side="right")], h)
+
+
+def _delays(log: EdgeLog, span: Span) -> tuple[Ints, Ints]:
+    """(n_ticks,) delay of each sample as `tolerance_front` takes it; and those of the samples that did arrive."""
+    delays = span.end_ns - np.arange(span.n_ticks) * span.period_ns
+    in_flight = log.stamp[log.fate == Fate.IN_FLIGHT]
+    delays[np.setdiff1d(log.stamp[log.fate == Fate.LOST], in_flight)] = _NEVER_ARRIVES
+    arrived = (log.fate == Fate.DELIVERED) | (log.fate == Fate.SUPERSEDED)
+    stamp, delay = log.stamp[arrived], log.arrival_ns[arrived] - log.stamp[arrived] * span.period_ns
+    by_arrival = np.argsort(-delay, kind="stable")  # the first of a sample's copies is assigned last, and holds
+    delays[stamp[by_arrival]] = delay[by_arrival]
+    return delays, delays[np.unique(stamp)]
+
+
+def _largest_gaps(order: Ints) -> Ints:
+    """(n,) largest gap, those at both ends included, that the first 1, 2, …, n of `order` leave.
+
+    `order` is a permutation of 0, …, n - 1. The gap at the beginning is counted from 0, that at the end up to n.
+    """
+    n = len(order)
+    before = list(range(-1, n - 1))
+    after = list(range(1, n + 1))
+    gaps = [1] * n
+    largest = 1
+    ranked: list[int] = order.tolist()
+    for i in range(n - 1, 0, -1):
+        gaps[i] = largest
+        struck = ranked[i]
+        left, right = before[struck], after[struck]
+        if left >= 0:
+            after[left] = right
+        if right < n:
+            before[right] = left
+        largest = max(largest, right - max(left, 0))
+    gaps[:1] = [largest][:n]
+    return np.array(gaps, dtype=np.int64)
+
+
+def _pareto(k_star: Ints, h_ns: Ints) -> Front:
+    """The front of pairs given by rising h, and so by falling k*."""
+    falls = np.ones(len(h_ns), np.bool_)
+    falls[1:] = k_star[1:] < k_star[:-1]
+    return Front(k_star[falls], h_ns[falls])
