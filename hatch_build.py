@@ -1,4 +1,4 @@
-"""Build hook: compiles the shipped FMUs and the native loop into the wheel, for editable installs into the source tree."""
+"""Build hook: compiles the shipped FMUs and the native loop, for wheels and for editable installs."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
+# The source tree is not installed yet.
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from fmus import build  # noqa: E402  (the source tree is not installed yet)
+from fmus import build, description
 
 ZIGLANG = "ziglang>=0.13,<0.18"
 
@@ -24,14 +25,18 @@ class NativeBuildHook(BuildHookInterface[Any]):
         """`ziglang`, 100 MB, only where there is no C compiler."""
         return [] if build.find_compiler() else [ZIGLANG]
 
-    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+    def initialize(
+        self,
+        version: str,  # noqa: ARG002 - the interface's
+        build_data: dict[str, Any],
+    ) -> None:
         """Compile for wheels, `version` "standard" and "editable"; a source distribution needs no binaries."""
         if self.target_name != "wheel":
             return
         try:
             for artifact in build.build_all():
                 self.app.display_info(f"built {artifact.name}")
-        except (build.BuildError, build.DescriptionError) as error:
+        except (build.BuildError, description.DescriptionError) as error:
             self.app.abort(f"netcosim could not be built: {error}")
         build_data["pure_python"] = False
         build_data["tag"] = f"py3-none-{_platform_tag()}"

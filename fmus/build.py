@@ -25,7 +25,7 @@ from fmus.description import DescriptionError
 
 ROOT = Path(__file__).resolve().parent
 BUILT = ROOT / "built"
-KERNEL = ROOT.parent / "cosim" / "kernel" / "kernel.c"
+KERNEL = ROOT.parent / "cosim" / "kernel"
 
 _FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-g0")
 _WARNINGS = ("-Wall", "-Wextra", "-Wno-unused-parameter")
@@ -103,7 +103,7 @@ def compile_shared(
         command.append("-lm")
     output.parent.mkdir(parents=True, exist_ok=True)
     try:
-        result = subprocess.run(command, capture_output=True, text=True, check=False)
+        result = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603
     except OSError as error:
         raise BuildError(f"the C compiler {compiler[0]} cannot be run: {error}") from None
     if result.returncode != 0:
@@ -161,7 +161,7 @@ def instantiation_token(folder: Path) -> str:
 
 def _write_zip(path: Path, files: dict[str, bytes]) -> None:
     """A zip whose bytes depend on nothing but the files: sorted, fixed times and permissions."""
-    temporary = path.with_suffix(".partial")
+    temporary = path.with_suffix(f".{os.getpid()}.partial")
     with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         for name in sorted(files):
             entry = zipfile.ZipInfo(name, _TIMESTAMP)
@@ -204,13 +204,21 @@ def build_model(folder: Path, destination: Path = BUILT) -> list[Path]:
 
 
 def build_kernel() -> Path:
-    """Compile the native loop of `cosim` to `cosim/kernel/_kernel.so` (or .dylib, .dll).
+    """Compile the native loop of `cosim`, `cosim/kernel/*.c`, to `cosim/kernel/_kernel.so` (or .dylib, .dll).
 
     Raises:
-        BuildError: see `compile_shared`.
+        BuildError: see `compile_shared` and `check_exports`; or `kernel.c` is not there.
     """
-    output = KERNEL.parent / f"_kernel{library_suffix()}"
-    compile_shared([KERNEL], output, includes=[ROOT / "include"])
+    sources = sorted({KERNEL / "kernel.c", *KERNEL.glob("*.c")})
+    output = KERNEL / f"_kernel{library_suffix()}"
+    partial = output.with_suffix(f".{os.getpid()}{library_suffix()}")
+    try:
+        compile_shared(sources, partial, includes=[ROOT / "include", KERNEL])
+        text = "\n".join(source.read_text(encoding="utf-8") for source in sources)
+        check_exports(partial, sorted(set(re.findall(r"^EXPORT .*?(\w+)\(", text, flags=re.MULTILINE))))
+        partial.replace(output)  # at once: a process that runs the old one keeps it
+    finally:
+        partial.unlink(missing_ok=True)
     return output
 
 

@@ -11,13 +11,17 @@ from typing import Any
 MAX_ELEMENTS = 256
 """Elements of an array that FMI 2.0's value references leave room for; `ELEMENTS` in `adapter/fmi2.c`."""
 
-INTEGER_TYPES = ("Integer", "Size", "Boolean", "Enumeration")
+_TYPES = ("Real", "Integer", "Size", "Boolean", "Enumeration")
+_KEYS = {"name", "type", "size", "unit", "variability", "start", "min", "max", "description"}
+_KEYS |= {"depends", "initial_depends", "state", "is_state"}
 
 UNITS: dict[str, dict[str, int]] = {
+    "1": {},
     "s": {"s": 1},
     "1/s": {"s": -1},
     "1/s2": {"s": -2},
     "m": {"m": 1},
+    "m/s": {"m": 1, "s": -1},
     "m/s2": {"m": 1, "s": -2},
     "kg": {"kg": 1},
     "kg.m2": {"kg": 1, "m": 2},
@@ -25,6 +29,7 @@ UNITS: dict[str, dict[str, int]] = {
     "rad/s": {"rad": 1, "s": -1},
     "rad/s2": {"rad": 1, "s": -2},
     "rad/s3": {"rad": 1, "s": -3},
+    "N": {"kg": 1, "m": 1, "s": -2},
     "N.m": {"kg": 1, "m": 2, "s": -2},
     "N.m.s/rad": {"kg": 1, "m": 2, "s": -1, "rad": -1},
 }
@@ -214,7 +219,9 @@ class _Reader:
         self.variables.append(self._variable(entry, len(self.variables), causality, variability, initial))
 
     def _add_state(self, entry: dict[str, Any]) -> None:
-        own = {key: value for key, value in entry.items() if key not in ("rate_unit", "depends", "causality", "initial")}
+        own = {
+            key: value for key, value in entry.items() if key not in ("rate_unit", "depends", "causality", "initial")
+        }
         initial = entry.get("initial", "calculated")
         self._add({**own, "is_state": True}, entry.get("causality", "local"), "continuous", initial)
 
@@ -232,20 +239,17 @@ class _Reader:
     def _variable(
         self, entry: dict[str, Any], reference: int, causality: str, variability: str, initial: str | None
     ) -> Variable:
-        entry = dict(entry)
-        entry.pop("variability", None)
-        name = entry.pop("name")
-        kind = entry.pop("type", "Real")
-        enumeration = None
+        name, kind, enumeration = entry["name"], entry.get("type", "Real"), None
+        minimum, maximum = entry.get("min"), entry.get("max")
         if kind in self.enumerations:
             kind, enumeration = "Enumeration", kind
-            entry["min"], entry["max"] = 1, len(self.enumerations[enumeration])
-        size = entry.pop("size", [])
-        dynamic = bool(size) and bool(self.structural) and size[0] == self.structural["name"]
+            minimum, maximum = 1, len(self.enumerations[enumeration])
+        size = entry.get("size", [])
+        dynamic = bool(size) and self.structural is not None and size[0] == self.structural["name"]
         fixed = tuple(size[1:] if dynamic else size)
         self._check_entry(name, kind, fixed, entry)
         columns = math.prod(fixed)
-        start = entry.pop("start", ())
+        start = entry.get("start", ())
         variable = Variable(
             name=name,
             reference=reference,
@@ -257,22 +261,26 @@ class _Reader:
             columns=columns,
             shape=(0, *fixed) if dynamic else fixed,
             dynamic=dynamic,
+            unit=entry.get("unit"),
             start=tuple(start) if isinstance(start, (list, tuple)) else (start,) * columns,
-            minimum=entry.pop("min", None),
-            maximum=entry.pop("max", None),
-            **{key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()},
+            minimum=minimum,
+            maximum=maximum,
+            description=entry.get("description", ""),
+            depends=tuple(entry.get("depends", ())),
+            initial_depends=tuple(entry["initial_depends"]) if "initial_depends" in entry else None,
+            state=entry.get("state"),
+            is_state=entry.get("is_state", False),
         )
-        needs_start = initial == "exact" or causality == "input"
-        if len(variable.start) != (columns if needs_start else 0):
-            raise DescriptionError(f"{self.path}: {name} must have {columns if needs_start else 'no'} start value(s)")
+        n_start = columns if initial == "exact" or causality == "input" else 0
+        if len(variable.start) != n_start:
+            raise DescriptionError(f"{self.path}: {name} must have {n_start or 'no'} start value(s)")
         return variable
 
     def _check_entry(self, name: str, kind: str, size: tuple[Any, ...], entry: dict[str, Any]) -> None:
-        known = {"unit", "description", "depends", "initial_depends", "start", "min", "max", "state", "is_state"}
         for key in entry:
-            if key not in known:
+            if key not in _KEYS:
                 raise DescriptionError(f"{self.path}: {name} has an unknown key {key!r}")
-        if kind not in ("Real", *INTEGER_TYPES):
+        if kind not in _TYPES:
             raise DescriptionError(f"{self.path}: {name} has an unknown type {kind!r}")
         if not all(isinstance(extent, int) and extent > 0 for extent in size):
             raise DescriptionError(f"{self.path}: {name} has a size that is neither a number nor {self.structural!r}")

@@ -55,7 +55,8 @@ class _Writer:
         self.variables(SubElement(self.root, "ModelVariables"))
         self.structure(SubElement(self.root, "ModelStructure"))
         indent(self.root, space="  ")
-        return b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(self.root, encoding="utf-8") + b"\n"
+        body: str = tostring(self.root, encoding="unicode")
+        return f'<?xml version="1.0" encoding="UTF-8"?>\n{body}\n'.encode()
 
     def head(self) -> None:
         raise NotImplementedError

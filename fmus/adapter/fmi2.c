@@ -97,9 +97,11 @@ fmi2Status fmi2Reset(fmi2Component c) { return status_of(c, instance_reset(c)); 
 
 /* The variable and its element that a value reference stands for; NULL, with a message, if there is none. */
 static const Variable *find(Instance *instance, fmi2ValueReference reference, int types, size_t *element) {
-    const Variable *variable = instance_variable(instance, reference / ELEMENTS, types);
     *element = reference % ELEMENTS;
-    if (!variable || *element < instance_size(instance, variable)) return variable;
+    if (reference / ELEMENTS < N_VARIABLES) {
+        const Variable *variable = instance_variable(instance, reference / ELEMENTS, types);
+        if (!variable || *element < instance_size(instance, variable)) return variable;
+    }
     fail(&instance->model, "there is no variable with value reference %u", reference);
     return NULL;
 }

@@ -187,7 +187,7 @@ const Variable *instance_variable(Instance *instance, unsigned int reference, in
         return NULL;
     }
     if (!(variable->type & types)) {
-        fail(&instance->model, "the variable %s (value reference %u) is of another type", variable->name, reference);
+        fail(&instance->model, "the variable %s is of another type", variable->name);
         return NULL;
     }
     return variable;

@@ -1,0 +1,168 @@
+"""The two models once more, in NumPy and straight from the paper's equations, to hold the FMUs against."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+Floats = NDArray[np.float64]
+
+
+def solve_tightly(f: Callable[[float, Floats], Floats], begin: float, end: float, x: Floats) -> Floats:
+    """State at `end`, to about 1e-12."""
+    result = solve_ivp(f, (begin, end), x, method="DOP853", rtol=1e-12, atol=1e-13)
+    assert result.success
+    return np.asarray(result.y[:, -1])
+
+
+def runge_kutta(step: float) -> Callable[[Callable[[float, Floats], Floats], float, float, Floats], Floats]:
+    """The classical method with steps of at most `step`."""
+
+    def solve(f: Callable[[float, Floats], Floats], begin: float, end: float, x: Floats) -> Floats:
+        count = max(1, math.ceil((end - begin) / step - 1e-6))
+        for i in range(count):
+            a = begin + (end - begin) * i / count
+            b = end if i + 1 == count else begin + (end - begin) * (i + 1) / count
+            h = b - a
+            k1 = f(a, x)
+            k2 = f(a + h / 2, x + h / 2 * k1)
+            k3 = f(a + h / 2, x + h / 2 * k2)
+            k4 = f(b, x + h * k3)
+            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        return x
+
+    return solve
+
+
+@dataclass(frozen=True)
+class Arm:
+    """The two-link arm of Section 5, with its errata."""
+
+    m1: float = 1.0
+    m2: float = 1.0
+    l1: float = 0.5
+    lc1: float = 0.25
+    lc2: float = 0.25
+    I1: float = 0.1
+    I2: float = 0.1
+    g: float = 9.81
+
+    @property
+    def theta(self) -> Floats:
+        return np.array(
+            [
+                self.m1 * self.lc1**2 + self.m2 * (self.l1**2 + self.lc2**2) + self.I1 + self.I2,
+                self.m2 * self.l1 * self.lc2,
+                self.m2 * self.lc2**2 + self.I2,
+                self.m2 * self.lc2,
+                self.m1 * self.lc1 + self.m2 * self.l1,
+            ]
+        )
+
+    def inertia(self, p: Floats) -> Floats:
+        t, c = self.theta, np.cos(p[1])
+        return np.array([[t[0] + 2 * t[1] * c, t[2] + t[1] * c], [t[2] + t[1] * c, t[2]]])
+
+    def coriolis(self, p: Floats, v: Floats) -> Floats:
+        h = self.theta[1] * np.sin(p[1])
+        return np.array([[-h * v[1], -h * (v[0] + v[1])], [h * v[0], 0.0]])
+
+    def gravity(self, p: Floats) -> Floats:
+        t = self.theta
+        elbow = self.g * t[3] * np.cos(p[0] + p[1])
+        return np.array([self.g * t[4] * np.cos(p[0]) + elbow, elbow])
+
+    def energy(self, p: Floats, v: Floats) -> float:
+        t = self.theta
+        height = t[4] * np.sin(p[0]) + t[3] * np.sin(p[0] + p[1])
+        return float(0.5 * v @ self.inertia(p) @ v + self.g * height)
+
+    def derivative(self, x: Floats, u: Floats) -> Floats:
+        p, v = x[:2], x[2:]
+        acceleration = np.linalg.solve(self.inertia(p), u - self.coriolis(p, v) @ v - self.gravity(p))
+        return np.concatenate([v, acceleration])
+
+
+def regressor(p: Floats, v: Floats, x: Floats, x_dot: Floats, g: float = 9.81) -> Floats:
+    """Y(p, v, x, x') with Y theta = M x' + C x + G, theta in the paper's order."""
+    c, s = np.cos(p[1]), np.sin(p[1])
+    elbow = g * np.cos(p[0] + p[1])
+    return np.array(
+        [
+            [
+                x_dot[0],
+                c * (2 * x_dot[0] + x_dot[1]) - s * (x[0] * v[1] + x[1] * (v[0] + v[1])),
+                x_dot[1],
+                elbow,
+                g * np.cos(p[0]),
+            ],
+            [0.0, x_dot[0] * c + x[0] * v[0] * s, x_dot[0] + x_dot[1], elbow, 0.0],
+        ]
+    )
+
+
+@dataclass
+class Law:
+    """The control law of Corollary 2 at one instant; states v_bar, v_bar_dot, eta, psi, theta_hat in that order."""
+
+    k_p: float = 2.0
+    k_d: float = 2.0
+    k_e: float = 10.0
+    lambda_: float = 13.0
+    k_eta: float = 2 * math.sqrt(13.0)
+    Pi: Floats = field(default_factory=lambda: np.full(5, 0.3))
+    sign: float = -1.0
+    leader: bool = False
+    coupled: bool = True
+
+    def derivative_and_torque(
+        self, x: Floats, p: Floats, v: Floats, v_hat: Floats, neighbours: Floats
+    ) -> tuple[Floats, Floats]:
+        """`neighbours`: the weighted mean of the neighbours' extrapolated positions."""
+        v_bar, v_bar_dot, eta, psi, theta_hat = x[0:2], x[2:4], x[4:6], x[6:8], x[8:13]
+        zero = np.zeros(2)
+        eta_dot = -self.k_eta * eta - self.lambda_ * (p - psi) if self.coupled else zero
+        psi_dot = -psi + v_bar + neighbours if self.coupled else zero
+        v_bar_2dot = zero if self.leader else -self.k_d * v_bar_dot - self.k_p * (v_bar - v_hat)
+        v_r, v_r_dot = eta + v_bar, eta_dot + v_bar_dot
+        e = v - v_r
+        Y = regressor(p, v, v_r, v_r_dot)
+        u = Y @ theta_hat - self.k_e * e
+        rates = [zero if self.leader else v_bar_dot, v_bar_2dot, eta_dot, psi_dot, self.sign * self.Pi * (Y.T @ e)]
+        return np.concatenate(rates), u
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """A message that becomes known to the agent at `time`."""
+
+    time: float
+    neighbour: int
+    stamp: int
+    v_hat: tuple[float, float]
+
+
+def observer(arrivals: list[Arrival], start: Floats, n_neighbours: int, period: float, ticks: int) -> Floats:
+    """v_hat(0) .. v_hat(ticks) by `updatevk_follower` and `updatevk_f2`, word for word; shape (ticks + 1, 2)."""
+
+    def freshest(neighbour: int, time: float) -> Arrival | None:
+        known = [a for a in arrivals if a.neighbour == neighbour and a.time <= time + 1e-9]
+        return max(known, key=lambda a: a.stamp, default=None)
+
+    estimates = [np.asarray(start, dtype=np.float64)]
+    for sigma in range(ticks):
+        used = [estimates[-1]]
+        for j in range(n_neighbours):
+            now, before = freshest(j, sigma * period), freshest(j, (sigma - 1) * period)
+            if now is not None and (before is None or now.stamp > before.stamp):
+                used.append(np.array(now.v_hat))
+        total = used[0]
+        for other in used[1:]:
+            total = total + other
+        estimates.append(total / len(used))
+    return np.array(estimates)
