@@ -16,6 +16,7 @@ from cosim.mailbox import Mailbox, Updates
 from cosim.plan import AgentPlan, Loop
 from cosim.wiring import wire
 from network.messages import Deliveries, MessageLayout
+from network.units import format_duration
 
 
 class MicroSteps(Protocol):
@@ -87,4 +88,15 @@ class Agent:
 
     def _failure(self, error: ComponentError) -> RunError:
         time = float(self._state.time[0])
-        return RunError(self.plan.name, error.component, time, error.message, error.log)
+        return RunError(self.plan.name, error.component, time, error.message + self._hint(error), error.log)
+
+    def _hint(self, error: ComponentError) -> str:
+        """Numbers that are not finite: say which step would tell an unstable scenario from too long a step."""
+        if "not finite" not in f"{error.message} {error.log}":
+            return ""
+        coupling = self.plan.coupling
+        step, shorter = format_duration(coupling.step_ns), format_duration(coupling.step_ns // 10)
+        return (
+            f"; either the scenario is unstable, or a step of {step} is too long for the coupling {coupling.method}: "
+            f'try `--set coupling.step="{shorter}"`'
+        )

@@ -1,15 +1,16 @@
 """One step component: what the framework asks of an FMU or of a Python class, and nothing more.
 
 The life cycle is the FMI standard's (FMI 3.0, sections 2.3 and 4.2): instantiate, set start values, initialise, then
-either Co-Simulation (`step`) or Model Exchange (states, derivatives, events), then terminate. Values cross this boundary
-as flat float64 arrays, row-major; an adapter converts to the variable's own type.
+either Co-Simulation (`step`) or Model Exchange (states, derivatives, events), then terminate. Values cross this
+boundary as flat float64 arrays, row-major; an adapter converts to the variable's own type.
 """
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -43,6 +44,8 @@ class Variable:
         items: names of an enumeration's items to their values.
         dependencies: for outputs, the names of the inputs that feed through directly; None where the FMU does not say
             (then every input must be assumed). For state derivatives it is unused.
+        initial: `exact`, `approx` or `calculated` (FMI 3.0, section 2.4.7.5); empty where that says nothing. The start
+            value of a `calculated` variable cannot be set.
     """
 
     name: str
@@ -56,11 +59,38 @@ class Variable:
     description: str = ""
     items: Mapping[str, int] = field(default_factory=dict)
     dependencies: tuple[str, ...] | None = None
+    initial: str = ""
 
     @property
     def size(self) -> int:
         """How many numbers it holds."""
-        return int(np.prod(self.shape, dtype=np.int64))
+        return math.prod(self.shape)
+
+
+def head(variable: Variable, shape: tuple[int, ...]) -> Variable:
+    """The leading block of a flattened FMI 2.0 array, where more rows are declared than are used.
+
+    Args:
+        variable: an array with one reference per element.
+        shape: of the block, as many dimensions as the array.
+
+    Raises:
+        ValueError: the array has another number of dimensions, is smaller, or is one FMI 3.0 variable, whose size only
+            a structural parameter can change.
+    """
+    if shape == variable.shape:
+        return variable
+    if len(variable.references) != variable.size:
+        raise ValueError(f"{variable.name} has the shape {variable.shape}; only a structural parameter can change it")
+    if len(shape) != len(variable.shape) or any(n > m for n, m in zip(shape, variable.shape, strict=True)):
+        raise ValueError(f"{variable.name} has the shape {variable.shape}, too small for {shape}")
+    kept = np.arange(variable.size).reshape(variable.shape)[tuple(slice(n) for n in shape)].reshape(-1).tolist()
+    return replace(
+        variable,
+        shape=shape,
+        references=tuple(variable.references[i] for i in kept),
+        start=None if variable.start is None else tuple(variable.start[i] for i in kept),
+    )
 
 
 @dataclass(frozen=True)
@@ -71,7 +101,8 @@ class Description:
         model: model name.
         fmi: "2.0", "3.0" or "python".
         interfaces: those that it offers.
-        variables: by name, in the file's order; arrays of FMI 2.0 gathered, dimensions for the given structural parameters.
+        variables: by name, in the file's order; arrays of FMI 2.0 gathered, dimensions for the given structural
+            parameters.
         platforms: those it has a binary for (FMUs only).
         sha256: of the FMU file, or of the source file of a Python class.
         n_event_indicators: Model Exchange: number of event indicators.

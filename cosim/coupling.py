@@ -220,7 +220,8 @@ class PythonLoop:
             k.append(self._derivatives(t + length, new))
             error = length * _combine(_DP_E, k)
             scale = coupling.absolute_tolerance + coupling.relative_tolerance * np.maximum(np.abs(x), np.abs(new))
-            ratio = float(np.max(np.abs(error) / scale)) if x.size else 0.0
+            ratios = np.abs(error) / scale
+            ratio = float(np.max(ratios)) if x.size else 0.0
             factor = 5.0 if ratio == 0.0 else min(5.0, max(0.2, 0.9 * math.pow(ratio, -0.2)))
             if not math.isfinite(ratio):
                 self._check_states(new)
@@ -228,14 +229,15 @@ class PythonLoop:
             if ratio <= 1.0:
                 t = end if final else t + length
                 x = self._accept(t, new)
-                k = [k[-1]]
+                k = [k[-1] if x is new else self._derivatives(t, x)]  # an event may have changed the states
             else:
                 k = [k[0]]
-            if ratio > 1.0 or not final:  # a step cut short by an event says nothing about the next one's length
+            if not (ratio <= 1.0 and final):  # a step cut short by an event says nothing about the next one's length
                 h = length * factor
             if h < 1e-12 * largest:
+                worst = int(np.argmax(ratios))
                 raise ComponentError(
-                    self._components[0].name,
+                    next(c.name for c, part in zip(self._components, self._states, strict=True) if worst < part.stop),
                     f"the step size fell below {h:.3g} s without meeting the tolerances; "
                     "loosen relative_tolerance or absolute_tolerance, or look for a discontinuity",
                 )

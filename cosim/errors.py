@@ -13,6 +13,8 @@ from enum import StrEnum
 
 
 class Severity(StrEnum):
+    """Whether a problem stops a run."""
+
     ERROR = "error"
     WARNING = "warning"
 
@@ -27,6 +29,11 @@ class Location:
 
     def __str__(self) -> str:
         return f"{self.file}:{self.line}:{self.column}" if self.line else self.file
+
+    @property
+    def short(self) -> str:
+        """For a sentence about the same file: `at line 7`, or `in --set KEY`."""
+        return f"at line {self.line}" if self.line else f"in {self.file}"
 
 
 @dataclass(frozen=True)

@@ -40,16 +40,20 @@ class Mailbox:
 
     def accept(self, deliveries: Deliveries) -> Updates:
         """The deliveries, in their order, that are fresher than what is there."""
+        stamps, values = deliveries.stamp, deliveries.values
+        arrival_ns, slots = deliveries.arrival_ns, deliveries.slot
         kept = []
-        for i, (slot, stamp) in enumerate(zip(deliveries.slot.tolist(), deliveries.stamp.tolist(), strict=True)):
+        for i, (slot, stamp) in enumerate(zip(slots.tolist(), stamps.tolist(), strict=True)):
             if stamp > self.stamps[slot]:
                 self.stamps[slot] = stamp
                 kept.append(i)
-        stamps = deliveries.stamp[kept]
+        if len(kept) < len(stamps):
+            arrival_ns, slots, stamps, values = arrival_ns[kept], slots[kept], stamps[kept], values[kept]
+        contiguous = np.ascontiguousarray  # the native loop reads them by address
         return Updates(
-            arrival_ns=deliveries.arrival_ns[kept],
-            slot=deliveries.slot[kept],
-            stamp=stamps,
-            time=(stamps * self._period_ns) / 1e9,
-            values=np.ascontiguousarray(deliveries.values[kept]),
+            contiguous(arrival_ns),
+            contiguous(slots),
+            contiguous(stamps),
+            (stamps * self._period_ns) / 1e9,
+            contiguous(values),
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn, Self
 
 import numpy as np
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
 REFRESH_SECONDS = 0.1
-REFRESH_SECONDS_IN_A_LOG = 10.0
 
 
 class Disagreement:
@@ -42,38 +41,46 @@ class Disagreement:
 
 
 class Progress:
-    """An observer that draws a bar on standard error; in a log file, a line every ten seconds."""
+    """An observer that draws a bar on standard error; in a log file, a line after 1, 2, 4, 8, … seconds."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: Plan, *, quiet: bool) -> None:
         self._plan = plan
+        self._quiet = quiet
         self._disagreement = Disagreement(plan)
-        self._interval = REFRESH_SECONDS if sys.stderr.isatty() else REFRESH_SECONDS_IN_A_LOG
-        self._started = self._shown = time.perf_counter()
-        self._bar: tqdm[None] | None = None
+        self._on_terminal = sys.stderr.isatty()
+        self._started = time.perf_counter()
+        self._due = self._started + (REFRESH_SECONDS if self._on_terminal else 1.0)
+        self._bar: tqdm[NoReturn] | None = None
 
     def tick(self, tick: int, rows: Sequence[Floats]) -> None:
         now = time.perf_counter()
-        if now - self._shown < self._interval:
+        if self._quiet or now < self._due:
             return
-        self._shown = now
-        if self._bar is None:
-            from tqdm import tqdm  # only runs that last long enough to be watched pay for the import
-
-            self._bar = tqdm(
-                total=self._plan.ticks, file=sys.stderr, bar_format="{l_bar}{bar}| {desc} [{elapsed}<{remaining}]"
-            )
+        self._due = now + (REFRESH_SECONDS if self._on_terminal else now - self._started)
         simulated = tick * self._plan.period
-        text = f"{simulated:.1f} s simulated, {simulated / (now - self._started):.0f} x real time"
+        text = f"{simulated:.1f} s simulated, {simulated / (now - self._started):.3g} x real time"
         disagreement = self._disagreement.of(rows)
         if disagreement is not None:
             text += f", disagreement {disagreement:.3g}"
+        if self._on_terminal:
+            self._draw(tick, text)
+        else:
+            print(f"{100 * tick / self._plan.ticks:3.0f} %: {text}", file=sys.stderr)
+
+    def _draw(self, tick: int, text: str) -> None:
+        if self._bar is None:
+            from tqdm import tqdm  # only runs that last long enough to be watched pay for the import
+
+            self._bar = tqdm(total=self._plan.ticks, file=sys.stderr, dynamic_ncols=True)
         self._bar.bar_format = "{percentage:3.0f}%|{bar}| " + text + " [{elapsed}<{remaining}]"
         self._bar.update(tick - self._bar.n)
 
     def fates(self, fates: Fates) -> None:
         """Nothing to show."""
 
-    def close(self) -> None:
-        """Leave the line as it is."""
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
         if self._bar is not None:
             self._bar.close()

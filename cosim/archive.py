@@ -1,0 +1,119 @@
+"""The FMU file as a ZIP archive: what it holds, and unpacking it without ever leaving the folder."""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import os
+import shutil
+import stat
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from cosim.errors import ConfigError, Location, Problem
+
+_LIBRARY_SUFFIXES = {".so", ".dll", ".dylib"}
+
+
+@dataclass(frozen=True)
+class Archive:
+    """A checked archive.
+
+    Attributes:
+        path: of the file.
+        sha256: of the file.
+        names: of all members; every one lies inside the folder it is unpacked to.
+    """
+
+    path: Path
+    sha256: str
+    names: tuple[str, ...]
+
+    @property
+    def platforms(self) -> tuple[str, ...]:
+        """The folders under `binaries/` that hold a library; `linux64` (FMI 2.0), `x86_64-linux` (FMI 3.0)."""
+        parts = [PurePosixPath(name).parts for name in self.names]
+        libraries = [p for p in parts if len(p) == 3 and PurePosixPath(p[2]).suffix in _LIBRARY_SUFFIXES]
+        return tuple(sorted({p[1] for p in libraries if p[0] == "binaries"}))
+
+
+def refuse(path: Path, predicate: str) -> ConfigError:
+    """The error that says what is wrong with a file."""
+    return ConfigError([Problem(f"{path.name} {predicate}", Location(str(path)))])
+
+
+def inspect(path: Path) -> Archive:
+    """Read an archive's table of contents.
+
+    Raises:
+        ConfigError: no such file, no ZIP archive, truncated, or with a member that would be unpacked elsewhere.
+    """
+    try:
+        with path.open("rb") as file:
+            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+    except FileNotFoundError:
+        raise refuse(path, "does not exist") from None
+    except OSError as error:
+        raise refuse(path, f"cannot be read: {error.strerror}") from error
+    except zipfile.BadZipFile as error:
+        raise refuse(path, "is not an FMU: not a ZIP archive, or a truncated one") from error
+    for member in members:
+        reason = _escapes(member)
+        if reason:
+            raise refuse(path, f"is refused: its member {member.filename!r} {reason}")
+    return Archive(path, sha256, tuple(member.filename for member in members))
+
+
+def unpack(archive: Archive, wanted: Callable[[str], bool]) -> Path:
+    """Unpack members into a new folder that only this user can read, removed when the process ends.
+
+    Args:
+        archive: what to unpack.
+        wanted: which members, by name.
+
+    Raises:
+        ConfigError: a member is damaged, or the disk is full.
+    """
+    folder = Path(tempfile.mkdtemp(dir=_scratch()))
+    try:
+        with zipfile.ZipFile(archive.path) as file:
+            file.extractall(folder, [name for name in archive.names if wanted(name)])
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError) as error:
+        raise refuse(archive.path, f"cannot be unpacked: {error}") from error
+    return folder
+
+
+def _escapes(member: zipfile.ZipInfo) -> str:
+    """Why unpacking the member could write outside the folder; empty if it cannot."""
+    name = member.orig_filename  # before `zipfile` tidied it
+    if "\\" in name or ":" in name or "\0" in name:
+        return "has a name that is not portable (FMI wants forward slashes and no drive)"
+    path = PurePosixPath(name)
+    if path.is_absolute() or ".." in path.parts:
+        return "would be unpacked outside the folder"
+    if stat.S_ISLNK(member.external_attr >> 16):
+        return "is a symbolic link"
+    return ""
+
+
+_scratch_folders: dict[int, Path] = {}
+
+
+def _scratch() -> Path:
+    """The folder of this process (a forked child gets its own), mode 0700."""
+    process = os.getpid()
+    if process not in _scratch_folders:
+        _scratch_folders[process] = Path(tempfile.mkdtemp(prefix="cosim-"))
+        atexit.register(_remove, process)
+    return _scratch_folders[process]
+
+
+def _remove(process: int) -> None:
+    if process == os.getpid():
+        shutil.rmtree(_scratch_folders[process], ignore_errors=True)

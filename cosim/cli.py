@@ -1,0 +1,193 @@
+"""The command line. Every command imports what it needs when it runs, so that `cosim --help` is quick."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from cosim.errors import ConfigError, CosimError, Location, Problem, Severity
+
+EXIT_CODES = """\
+exit codes:
+  0    success
+  2    a mistake in the scenario or on the command line
+  3    a run failed: a component refused or broke down
+  130  stopped with Ctrl-C
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; no error that a user can cause gives a traceback.
+
+    Args:
+        arguments: those of the process by default.
+
+    Returns:
+        The exit code.
+    """
+    args = _parser().parse_args(arguments)
+    try:
+        code: int = args.command(args)
+        sys.stdout.flush()
+    except ConfigError as error:
+        _print_problems(error.problems)
+        return error.exit_code
+    except CosimError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:  # whoever read the output has seen enough; Python would complain again at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return code
+
+
+def _print_problems(problems: Sequence[Problem]) -> None:
+    """One line each, then how many there were."""
+    for problem in problems:
+        print(problem, file=sys.stderr)
+    counts = [(severity, sum(p.severity is severity for p in problems)) for severity in Severity]
+    said = [f"{count} {severity}{'' if count == 1 else 's'}" for severity, count in counts if count]
+    if said:
+        print(", ".join(said), file=sys.stderr)
+
+
+# --- commands ---------------------------------------------------------------------------------------------------------
+
+
+def _run(args: argparse.Namespace) -> int:
+    from cosim import running
+
+    return running.main(args)
+
+
+def _report(args: argparse.Namespace) -> int:
+    from cosim import report
+
+    return report.main(args)
+
+
+def _check(args: argparse.Namespace) -> int:
+    from cosim import check, planning
+
+    planned = planning.load(args.config, args.set, seed=args.seed, until=args.until)
+    check.open_all(planned.plan)
+    print(check.describe(planned.plan))
+    _print_problems(planned.warnings)
+    return 0
+
+
+def _init(args: argparse.Namespace) -> int:
+    from cosim import configs
+    from cosim.names import scenario_name
+
+    source = configs.shipped(args.source)
+    target = Path(args.name if args.name.endswith((".yaml", ".yml")) else f"{args.name}.yaml")
+    try:
+        scenario_name(target.stem)
+    except ValueError as error:
+        raise ConfigError([Problem(str(error))]) from None
+    text = source.read_text(encoding="utf-8").replace(f"\nname: {source.stem}\n", f"\nname: {target.stem}\n", 1)
+    try:
+        with target.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise ConfigError(
+            [Problem("exists already; choose another name or remove it", Location(str(target)))]
+        ) from None
+    except OSError as error:
+        raise ConfigError([Problem(f"cannot be written: {error.strerror}", Location(str(target)))]) from None
+    print(f"wrote {target}, a copy of {source.stem}; next: cosim check {target}")
+    return 0
+
+
+def _schema(args: argparse.Namespace) -> int:  # noqa: ARG001 - as every command
+    import json
+
+    from cosim.spec import json_schema
+
+    print(json.dumps(json_schema(), indent=2, ensure_ascii=False))
+    return 0
+
+
+# --- arguments --------------------------------------------------------------------------------------------------------
+
+
+class _Version(argparse.Action):
+    """Looks the version up only when asked."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib.metadata import version
+
+        print(f"cosim (netcosim {version('netcosim')})")
+        parser.exit()
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="cosim",
+        description="Co-simulation of networked multi-agent systems: FMUs, who hears whom, and what the network does.",
+        epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    run = _command(commands, "run", _run, "run a scenario and draw its report")
+    _add_scenario(run)
+    run.add_argument("--out", type=Path, metavar="DIR", help="where the results go (default: runs/<name>/<timestamp>)")
+    run.add_argument("--quiet", action="store_true", help="print nothing but problems")
+    run.add_argument("--no-report", dest="report", action="store_false", help="leave out the figures and report.html")
+
+    check = _command(
+        commands, "check", _check, "validate a scenario, open its components, and say what can be expected"
+    )
+    _add_scenario(check)
+
+    report = _command(commands, "report", _report, "draw the report of a finished run again")
+    report.add_argument("run", type=Path, metavar="RUN", help="folder of the run")
+
+    init = _command(commands, "init", _init, "copy a shipped scenario, to start from")
+    init.add_argument("name", metavar="NAME", help="the copy becomes NAME.yaml")
+    init.add_argument(
+        "--from",
+        dest="source",
+        metavar="CONFIG",
+        default="paper_leaders",
+        help="shipped scenario (default: %(default)s)",
+    )
+
+    _command(commands, "schema", _schema, "print the JSON schema of a scenario, for editors")
+    return parser
+
+
+def _command(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, command: object, summary: str
+) -> argparse.ArgumentParser:
+    parser = commands.add_parser(
+        name,
+        help=summary,
+        description=f"{summary[0].upper()}{summary[1:]}.",
+        epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.set_defaults(command=command)
+    return parser
+
+
+def _add_scenario(parser: argparse.ArgumentParser) -> None:
+    """What `run` and `check` have in common."""
+    parser.add_argument("config", metavar="CONFIG", help="a YAML file, or a shipped scenario by its bare name")
+    parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
+    parser.add_argument("--until", metavar="TIME", help="duration instead of the scenario's, such as '30 s'")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change one value, such as coupling.step='1 ms' or agents.4.components.plant.start.v=0.1; repeatable",
+    )

@@ -1,0 +1,44 @@
+"""The figures of a report, one module per subject. Importing this imports matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from matplotlib.figure import Figure
+
+from cosim.figures.age import age
+from cosim.figures.channel import channel
+from cosim.figures.disagreement import disagreement
+from cosim.figures.graph import graph
+from cosim.figures.scene import NotDrawn, Scene
+from cosim.figures.signals import parameter_estimates, relative_positions, relative_velocities, velocity_estimates
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A figure that a report may have.
+
+    Attributes:
+        name: of its files.
+        title: in the report.
+        draw: the figure and its caption; raises `NotDrawn` where it does not apply.
+    """
+
+    name: str
+    title: str
+    draw: Callable[[Scene], tuple[Figure, str]]
+
+
+FIGURES = (
+    Entry("graph", "Interconnection graph", graph),
+    Entry("channel", "Input and output of a communication channel", channel),
+    Entry("positions", "Relative positions", relative_positions),
+    Entry("velocities", "Relative velocities", relative_velocities),
+    Entry("estimates", "Velocity estimates", velocity_estimates),
+    Entry("disagreement", "Disagreement", disagreement),
+    Entry("age", "Age of information", age),
+    Entry("parameters", "Parameter estimates", parameter_estimates),
+)
+
+__all__ = ["FIGURES", "Entry", "NotDrawn", "Scene"]

@@ -1,0 +1,68 @@
+"""How far the agents are from agreeing, on a logarithmic scale: the rate of convergence is a slope."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
+
+from cosim.figures import style
+from cosim.figures.scene import NotDrawn, Scene, Signal
+from network.messages import Floats
+
+SMALLEST = 1e-16
+"""Beyond the resolution of a float next to 1, nothing is drawn."""
+
+
+def disagreement(scene: Scene) -> tuple[Figure, str]:
+    """Largest deviation over agents and elements: of positions, of velocities, of velocity estimates."""
+    curves = _curves(scene)
+    labels = [label for _, _, label, _ in curves]
+    figure, (ax,) = style.panels(1, 1.7, lines=style.legend_lines(labels))
+    handles = []
+    for colour, dashes, _, values in curves:
+        shown = np.where(values > SMALLEST, values, np.nan)
+        handles += ax.semilogy(scene.time, shown, color=colour, linestyle=dashes)
+    style.time_axis(ax, float(scene.time[0]), float(scene.time[-1]))
+    ax.set_ylabel("largest deviation")
+    ax.yaxis.set_major_locator(LogLocator(numticks=9))
+    style.legend(figure, handles, labels)
+    centre = "the mean over agents" if scene.reference_velocity is None else "the desired velocity"
+    text = "Largest deviation over all agents and elements, in the units of the signals: of positions from the first"
+    text += f" agent's, of velocities and of their estimates from {centre}."
+    return figure, text
+
+
+def _curves(scene: Scene) -> list[tuple[str, object, str, Floats]]:
+    """Colour, dashes, label and values (n_times,) of every curve there is data for."""
+    curves: list[tuple[str, object, str, Floats]] = []
+    reasons = []
+    target = r"\bar{v}" if scene.reference_velocity is None else "v_d"
+    for role, colour, dashes, formula in (
+        ("position", style.ACCENT, "solid", r"$|p_1 - p_i|$"),
+        ("velocity", style.WARM, (0, (4, 1)), rf"$|v_i - {target}|$"),
+        ("estimate", style.GREEN, (0, (1, 1)), rf"$|\hat{{v}}_i - {target}|$"),
+    ):
+        try:
+            signal = scene.several(role)
+        except NotDrawn as reason:
+            reasons.append(str(reason))
+            continue
+        curves.append((colour, dashes, formula, largest_deviation(scene, signal, role)))
+    if not curves:
+        raise NotDrawn(reasons[0])
+    return curves
+
+
+def largest_deviation(scene: Scene, signal: Signal, role: str) -> Floats:
+    """Largest magnitude over agents and elements; (n_times,).
+
+    Positions count from the first agent; velocities and estimates from the reference, or without one from the mean over
+    agents at the time. (Of the leaderless scheme the final velocity is known only at the end.)
+    """
+    centre = signal.values[:, :1]
+    if role != "position":
+        reference = scene.reference_velocity
+        centre = signal.values.mean(axis=1, keepdims=True) if reference is None else reference
+    deviation: Floats = np.abs(signal.values - centre).max(axis=(1, 2))
+    return deviation

@@ -1,0 +1,215 @@
+"""What a report says in numbers: how it went, whether the agents agree, what the network did, the paper's condition."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cosim.edges import Edges
+from cosim.names import in_short
+from cosim.results import Results
+from cosim.theory import mu, published_bound
+from cosim.topology import kappa, reached_by, roots
+from network.freshness import common_front
+from network.units import to_seconds
+
+NOTHING = "–"
+
+FRONT_LIMIT = 2_000_000
+"""Edges times ticks up to which Assumption 1 is evaluated: about a second's work per million."""
+
+Rows = list[tuple[str, str]]
+
+
+def number(value: float | None, unit: str = "", digits: int = 4) -> str:
+    """A number as people read it, or a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return NOTHING
+    return f"{value:.{digits}g}{f' {unit}' if unit else ''}"
+
+
+def outcome(results: Results) -> Rows:
+    """Status, seed, times and sizes."""
+    manifest = results.manifest
+    ticks = manifest["ticks"]
+    whole = ticks["done"] == ticks["planned"]
+    speed = manifest["speed"]
+    return [
+        ("Status", manifest["status"]),
+        ("Seed", str(manifest["seed"])),
+        ("Simulated", f"{manifest['simulated_s']:g} s" + ("" if whole else f" of {_planned(results):g} s")),
+        (
+            "Ticks",
+            f"{ticks['done']}" + ("" if whole else f" of {ticks['planned']}") + f", T = {results.period_ns / 1e9:g} s",
+        ),
+        ("Wall time", number(manifest["wall_s"], "s", 3)),
+        ("Speed", NOTHING if not speed else f"{speed:.3g} × real time"),
+        ("Agents and edges", f"{len(results.agents)} and {len(results.links)}"),
+        ("Started", manifest["created"].replace("T", " ").replace("Z", " UTC")),
+    ]
+
+
+def _planned(results: Results) -> float:
+    return to_seconds(int(results.manifest["ticks"]["planned"]) * results.period_ns)
+
+
+# --- agreement --------------------------------------------------------------------------------------------------------
+def agreement(results: Results) -> Rows:
+    """Largest deviations at the end of the run; empty where the roles are not given."""
+    rows: Rows = []
+    reference = results.analysis["reference_velocity"]
+    if results.n_ticks == 0:
+        return rows
+    last = results.n_ticks - 1
+    for role, label in (("position", "|p₁ − pᵢ|"), ("velocity", "|vᵢ − {}|"), ("estimate", "|v̂ᵢ − {}|")):
+        variable = results.analysis[role]
+        if variable is None or variable not in results.variables:
+            continue
+        values = results.array(variable, every=max(1, last))[-1].reshape(len(results.agents), -1)
+        values = values[~np.isnan(values).all(axis=1)]
+        if len(values) < 2:
+            continue
+        centre = values[:1]
+        if role != "position":
+            centre = values.mean(axis=0) if reference is None else np.array(reference)
+        text = label.format("mean" if reference is None else "v_d")
+        unit = results.unit(variable)
+        rows.append((f"Largest {text} at the end", number(float(np.abs(values - centre).max()), unit or "", 3)))
+    return rows
+
+
+# --- the network ------------------------------------------------------------------------------------------------------
+def network(edges: Edges) -> Rows:
+    """Counts, ages, and the tolerance pairs of Assumption 1, over all edges."""
+    if not len(edges) or edges.results.n_ticks < 2:
+        return []
+    traffic, ages = edges.traffic, edges.ages
+    sent = sum(one.sent for one in traffic)
+    counts = {
+        "delivered": sum(one.delivered for one in traffic),
+        "superseded": sum(one.superseded for one in traffic),
+        "lost": sum(one.lost for one in traffic),
+        "in flight at the end": sum(one.in_flight for one in traffic),
+    }
+    seconds = to_seconds(edges.span.end_ns)
+    rows = [] if edges.span.n_ticks == edges.results.n_ticks - 1 else [("Evaluated over", f"the first {seconds:g} s")]
+    rows += [
+        ("Messages sent", f"{sent}, per edge and tick {number(sent / (len(edges) * edges.span.n_ticks), digits=3)}"),
+        ("Of these", ", ".join(f"{count} {name}" for name, count in counts.items())),
+        ("Most losses in a row on an edge", str(max(one.losses_in_a_row for one in traffic))),
+        ("Age of information, mean over edges and time", number(float(np.mean([one.mean for one in ages])), "s")),
+        ("Age of information, largest read at a tick", number(max(one.tick_sup for one in ages), "s")),
+        ("Age of information, least upper bound over time", number(max(one.sup for one in ages), "s")),
+        ("Age at ticks, largest that the channels allow (h*)", _bound(edges.results)),
+    ]
+    return rows + _assumption(edges)
+
+
+def _bound(results: Results) -> str:
+    bounds = {results.age_bound(link) for link in range(len(results.links))}
+    return "no bound" if None in bounds else number(max(bound for bound in bounds if bound is not None), "s")
+
+
+def _assumption(edges: Edges) -> Rows:
+    """The literal minimum of k*T + h: the other number that the paper calls h*."""
+    label = "Assumption 1: least k*·T + h"
+    if len(edges) * edges.span.n_ticks > FRONT_LIMIT:
+        return [(label, "not evaluated: the log is too long")]
+    sums = [front.smallest_sum_ns(edges.span.period_ns) for front in edges.fronts]
+    common = common_front(edges.fronts).smallest_sum_ns(edges.span.period_ns)
+    known = [to_seconds(one) for one in sums if one is not None]
+    if not known or common is None:
+        return [(label, "none: an edge delivered nothing")]
+    median = number(float(np.median(known)), "s")
+    return [(label, f"{median} for the median edge, {number(to_seconds(common), 's')} common to all edges")]
+
+
+# --- the paper's condition --------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Condition:
+    """One line of the table of conditions: agents that are alike. Numbers as text."""
+
+    agents: str
+    in_neighbours: str
+    kappa: str
+    mu: str
+    h_star: str
+    bound: str
+    margin: str
+    verdict: str
+
+
+def conditions(results: Results) -> list[Condition]:
+    """κ_i, μ_i and the published condition μ_i > 1 + 2h*, alike agents in one line."""
+    links, analysis = results.links, results.analysis
+    sums = kappa(links, results.weights.tolist())
+    degree = np.bincount(links.receiver, minlength=len(links.agents))
+    ages = _largest_ages(results)
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for i, name in enumerate(links.agents):
+        line = (str(degree[i]), number(float(sums[i]), digits=6), *_published(name, int(degree[i]), ages[i], analysis))
+        groups.setdefault(line, []).append(name)
+    return [Condition(in_short(names), *line) for line, names in groups.items()]
+
+
+def _published(name: str, degree: int, age: float, analysis: Mapping[str, Any]) -> tuple[str, ...]:
+    """μ_i, h*, (μ_i - 1)/2, margin and verdict."""
+    h_star = NOTHING if not degree else number(age, "s") if math.isfinite(age) else "no bound"
+    k_eta, lambda_ = ((analysis[key] or {}).get(name) for key in ("k_eta", "lambda"))
+    if k_eta is None or lambda_ is None:
+        return NOTHING, h_star, NOTHING, NOTHING, NOTHING
+    mu_i = mu(k_eta, lambda_)
+    bound = published_bound(mu_i)
+    if not degree:
+        return number(mu_i, "1/s"), h_star, number(bound, "s"), NOTHING, "hears nobody"
+    if not math.isfinite(age):
+        return number(mu_i, "1/s"), h_star, number(bound, "s"), NOTHING, "cannot be evaluated"
+    verdict = "holds" if age < bound else "does not hold"
+    return number(mu_i, "1/s"), h_star, number(bound, "s"), number(bound - age, "s", 2), verdict
+
+
+def _largest_ages(results: Results) -> list[float]:
+    """Per agent, the largest age at ticks that its incoming channels allow, in seconds; infinite without a bound."""
+    ages = [0.0] * len(results.agents)
+    for link, receiver in enumerate(results.links.receiver.tolist()):
+        bound = results.age_bound(link)
+        ages[receiver] = max(ages[receiver], math.inf if bound is None else bound)
+    return ages
+
+
+def graph(results: Results) -> Rows:
+    """Roots and leaders, and whom the leaders reach."""
+    links = results.links
+    found = roots(links)
+    rows = [("Roots", "every agent" if len(found) == len(links.agents) else _names(links.agents, found))]
+    if not found:
+        rows = [("Roots", "none: the graph is not rooted")]
+    leaders = results.analysis["leaders"]
+    rows.append(("Leaders", in_short(leaders) if leaders else "none"))
+    if leaders:
+        reached = np.any([reached_by(links, links.agents.index(leader)) for leader in leaders], axis=0)
+        missing = _names(links.agents, np.flatnonzero(~reached).tolist())
+        rows.append(("Reached by a leader", f"all but {missing}" if missing else "every agent"))
+    return rows
+
+
+def _names(agents: tuple[str, ...], indices: Iterable[int]) -> str:
+    return in_short(agents[i] for i in indices)
+
+
+# --- provenance -------------------------------------------------------------------------------------------------------
+def provenance(results: Results) -> Rows:
+    """What is needed to run it again: hashes, versions, platform."""
+    manifest = results.manifest
+    rows = [("Command", " ".join(manifest["command"])), ("SHA-256 of scenario.yaml", manifest["config_sha256"])]
+    for component in manifest["components"]:
+        kind = "Python" if component["fmi"] == "python" else f"FMI {component['fmi']}"
+        label = f"{component['model']} ({kind}, {component['instances']} ×), SHA-256"
+        rows.append((label, component["sha256"] or NOTHING))
+    rows.append(("Versions", ", ".join(f"{name} {version}" for name, version in manifest["versions"].items())))
+    rows.append(("Platform", manifest["platform"]))
+    return rows

@@ -1,0 +1,154 @@
+"""From the variables of a model description, as FMPy reads them, to the framework's `Variable`s.
+
+FMI 3.0 arrays get their shape from the given structural parameters. FMI 2.0 has no arrays: elements that follow its
+naming convention for them (FMI 2.0.5, section 2.2.9: `x[1]`, `x[2]`, row-major `x[1,1]`, `x[1,2]`, …) are gathered.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from cosim.component import Value, Variable
+
+_FMI2_TYPES = {"Real": "Float64", "Integer": "Int32"}
+_ELEMENT = re.compile(r"(?P<name>.+)\[(?P<indices>\d+(?:, ?\d+)*)\]")
+
+
+def fmi2_variables(model: Any) -> dict[str, Variable]:
+    """By name, in the file's order; an array takes the place of its first element."""
+    dependencies = _output_dependencies(model)
+    scalars = [
+        _variable(v, _FMI2_TYPES.get(v.type, v.type), (), (v.valueReference,), dependencies)
+        for v in model.modelVariables
+    ]
+    return _rename_dependencies(*_gather(scalars))
+
+
+def fmi3_variables(model: Any, structural: Mapping[str, int]) -> dict[str, Variable]:
+    """By name, in the file's order; see `fmi3_shape` for `structural`."""
+    dependencies = _output_dependencies(model)
+    return {
+        v.name: _variable(v, v.type, fmi3_shape(v, structural), (v.valueReference,), dependencies)
+        for v in model.modelVariables
+    }
+
+
+def fmi3_shape(variable: Any, structural: Mapping[str, int]) -> tuple[int, ...]:
+    """The shape of an array, with the structural parameters given or else their start values."""
+    return tuple(
+        int(structural.get(d.variable.name, d.variable.start)) if d.start is None else d.start
+        for d in variable.dimensions
+    )
+
+
+def _variable(
+    v: Any,
+    dtype: str,
+    shape: tuple[int, ...],
+    references: tuple[int, ...],
+    dependencies: Mapping[str, tuple[str, ...] | None],
+) -> Variable:
+    declared = v.declaredType
+    return Variable(
+        name=v.name,
+        causality=v.causality,
+        variability=v.variability,
+        dtype=dtype,
+        shape=shape,
+        references=references,
+        unit=v.unit or (declared.unit if declared else None),
+        start=_start(v.start, dtype, int(np.prod(shape, dtype=np.int64))),
+        description=v.description or "",
+        items={item.name: int(item.value) for item in declared.items} if declared and dtype == "Enumeration" else {},
+        dependencies=dependencies.get(v.name) if v.causality == "output" else None,
+        initial=v.initial or "",
+    )
+
+
+def _start(text: str | None, dtype: str, size: int) -> tuple[Value, ...] | None:
+    """Declared start values, flat. Of an array that was resized they are known only if all are equal."""
+    if text is None or dtype in ("Binary", "Clock"):
+        return None
+    if dtype == "String":
+        return (text,) * size
+    values = [_number(word, dtype) for word in text.split()]
+    if len(values) == size:
+        return tuple(values)
+    return tuple(values[:1]) * size if len(set(values)) == 1 else None
+
+
+def _number(text: str, dtype: str) -> Value:
+    if dtype == "Boolean":
+        return text in ("true", "1")
+    return float(text) if dtype.startswith("Float") else int(text)
+
+
+def _output_dependencies(model: Any) -> dict[str, tuple[str, ...] | None]:
+    """Per output of the model structure, the inputs among its dependencies; None where the file does not say."""
+    return {
+        unknown.variable.name: None
+        if unknown.dependencies is None
+        else tuple(known.name for known in unknown.dependencies if known.causality == "input")
+        for unknown in model.outputs
+    }
+
+
+# --- the arrays of FMI 2.0 ------------------------------------------------------------------------------------------
+def _gather(scalars: Iterable[Variable]) -> tuple[dict[str, Variable], dict[str, str]]:
+    """Gather complete arrays; also the array's name for the name of each of its elements."""
+    scalars = list(scalars)
+    groups: defaultdict[str, dict[tuple[int, ...], Variable]] = defaultdict(dict)
+    for scalar in scalars:
+        match = _ELEMENT.fullmatch(scalar.name)
+        if match:
+            groups[match["name"]][tuple(int(i) for i in match["indices"].split(","))] = scalar
+    taken = {scalar.name for scalar in scalars}
+    arrays = {name: _array(name, elements) for name, elements in groups.items() if name not in taken}
+    array_of = {e.name: name for name, array in arrays.items() if array is not None for e in groups[name].values()}
+    variables: dict[str, Variable] = {}
+    for scalar in scalars:
+        array = arrays.get(array_of.get(scalar.name, ""))
+        gathered = array or scalar
+        variables.setdefault(gathered.name, gathered)
+    return variables, array_of
+
+
+def _array(name: str, elements: Mapping[tuple[int, ...], Variable]) -> Variable | None:
+    """The array of these elements; None if they are no complete rectangle from 1 on, or not of one kind."""
+    ordered = [elements[indices] for indices in sorted(elements)]
+    first = ordered[0]
+    if len({len(indices) for indices in elements}) != 1 or len({_kind(element) for element in ordered}) != 1:
+        return None
+    shape = tuple(max(axis) for axis in zip(*elements, strict=True))
+    if min(min(indices) for indices in elements) < 1 or len(elements) != np.prod(shape, dtype=np.int64):
+        return None
+    starts = [element.start for element in ordered]
+    dependencies = [element.dependencies for element in ordered]
+    return replace(
+        first,
+        name=name,
+        shape=shape,
+        references=tuple(element.references[0] for element in ordered),
+        start=None if None in starts else tuple(start[0] for start in starts if start),
+        dependencies=None if None in dependencies else tuple(x for some in dependencies if some for x in some),
+    )
+
+
+def _kind(element: Variable) -> tuple[Any, ...]:
+    return element.causality, element.variability, element.dtype, element.unit, tuple(element.items.items())
+
+
+def _rename_dependencies(variables: dict[str, Variable], array_of: Mapping[str, str]) -> dict[str, Variable]:
+    """Dependencies on elements become dependencies on arrays, each once."""
+    return {
+        name: variable
+        if variable.dependencies is None
+        else replace(variable, dependencies=tuple(dict.fromkeys(array_of.get(x, x) for x in variable.dependencies)))
+        for name, variable in variables.items()
+    }

@@ -1,0 +1,49 @@
+/* Ticks, arrivals and time events: Event Mode of Model Exchange (FMI 3.0, section 2.3.5). */
+#include <string.h>
+
+#include "fmi_calls.h"
+
+bool enter_event_mode(Agent *agent) {
+    for (int c = 0; c < agent->n_components; c++)
+        if (!change_mode(agent, c, ENTER_EVENT_MODE)) return false;
+    return true;
+}
+
+static bool update_discrete_states(Agent *agent, int component) {
+    for (int i = 0; i < DISCRETE_STATE_ITERATIONS; i++) {
+        bool again;
+        if (!update_once(agent, component, &again, &agent->next_event[component])) return false;
+        if (!again) return true;
+    }
+    return fail(agent, (Failure){.reason = DISCRETE_STATES_UNSETTLED, .component = component});
+}
+
+static bool signals_changed(const Agent *agent) {
+    for (int32_t i = 0; i < agent->n_signals; i++)
+        if (agent->signals[i] != agent->before[i]) return true;
+    return false;
+}
+
+bool iterate_events(Agent *agent) {
+    bool changed = true;
+    if (!carry_out(agent, agent->propagate, agent->signals)) return false;
+    for (int i = 0; changed && i < EVENT_ITERATIONS; i++) {
+        for (int c = 0; c < agent->n_components; c++)
+            if (!update_discrete_states(agent, c)) return false;
+        memcpy(agent->before, agent->signals, (size_t)agent->n_signals * sizeof(double));
+        if (!carry_out(agent, agent->propagate, agent->signals)) return false;
+        changed = signals_changed(agent);
+    }
+    if (changed) return fail(agent, (Failure){.reason = EVENTS_UNSETTLED});
+    for (int c = 0; c < agent->n_components; c++)
+        if (!change_mode(agent, c, ENTER_CONTINUOUS_TIME_MODE)) return false;
+    return true;
+}
+
+bool handle_event(Agent *agent, int64_t time_ns, bool listen) {
+    bool joint = agent->method == JOINT;
+    *agent->time = to_seconds(time_ns);
+    if (joint && !enter_event_mode(agent)) return false;
+    if (listen && !carry_out(agent, agent->listen, agent->signals)) return false;
+    return !joint || iterate_events(agent);
+}

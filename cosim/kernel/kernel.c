@@ -1,0 +1,85 @@
+/* From one tick to the next: the part of the loop that does not depend on the coupling. See kernel.h. */
+#include "kernel.h"
+
+#include <math.h>
+#include <stddef.h>
+
+#if defined(_WIN32)
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
+EXPORT bool cosim_kernel_advance(Agent *agent, int64_t start_ns, int64_t end_ns, const Updates *updates);
+EXPORT uint64_t cosim_kernel_sizes(void);
+
+bool fail(Agent *agent, Failure failure) {
+    agent->failure = failure;
+    return false;
+}
+
+int64_t micro_steps(const Agent *agent, int64_t start_ns, int64_t end_ns, double *length) {
+    int64_t n = (end_ns - start_ns + agent->step_ns - 1) / agent->step_ns;
+    *length = to_seconds(end_ns - start_ns) / (double)n;
+    return n;
+}
+
+/* The first time event of a component between the two times, or the second of them. */
+static int64_t next_stop(const Agent *agent, int64_t start_ns, int64_t end_ns) {
+    int64_t stop_ns = end_ns;
+    for (int c = 0; c < agent->n_components; c++) {
+        double event = agent->next_event[c];
+        if (to_seconds(start_ns) < event && event < to_seconds(end_ns)) {
+            int64_t event_ns = (int64_t)floor(event * NANOSECONDS_PER_SECOND + 0.5);
+            if (start_ns < event_ns && event_ns < stop_ns) stop_ns = event_ns;
+        }
+    }
+    return stop_ns;
+}
+
+static bool integrate_joint(Agent *agent, int64_t start_ns, int64_t end_ns) {
+    while (start_ns < end_ns) {
+        int64_t stop_ns = next_stop(agent, start_ns, end_ns);
+        bool ok = agent->integrator == RK4 ? runge_kutta(agent, start_ns, stop_ns)
+                                           : dormand_prince(agent, start_ns, stop_ns);
+        if (!ok || (stop_ns < end_ns && !handle_event(agent, stop_ns, false))) return false;
+        start_ns = stop_ns;
+    }
+    return true;
+}
+
+/* From one event to the next, breaking at time events of the components. */
+static bool integrate(Agent *agent, int64_t start_ns, int64_t end_ns) {
+    if (start_ns >= end_ns) return true;
+    return agent->method == JOINT ? integrate_joint(agent, start_ns, end_ns)
+                                  : step_components(agent, start_ns, end_ns);
+}
+
+/* Put message number `i` into the mailbox. */
+static void deliver(Agent *agent, const Updates *updates, int64_t i) {
+    int64_t slot = updates->slot[i];
+    for (int32_t j = 0; j < agent->width; j++)
+        agent->signals[agent->mailbox_values[slot * agent->width + j]] = updates->values[i * agent->width + j];
+    agent->signals[agent->mailbox_stamp[slot]] = (double)updates->stamp[i];
+    agent->signals[agent->mailbox_time[slot]] = updates->time[i];
+}
+
+/* Advance from one tick to the next, breaking at each arrival; afterwards the signals hold the sample of `end_ns`. */
+EXPORT bool cosim_kernel_advance(Agent *agent, int64_t start_ns, int64_t end_ns, const Updates *updates) {
+    int64_t time_ns = start_ns;
+    for (int64_t i = 0; i < updates->count;) {
+        int64_t arrival_ns = updates->arrival_ns[i];
+        if (!integrate(agent, time_ns, arrival_ns)) return false;
+        for (; i < updates->count && updates->arrival_ns[i] == arrival_ns; i++) deliver(agent, updates, i);
+        if (!handle_event(agent, arrival_ns, true)) return false;
+        time_ns = arrival_ns;
+    }
+    return integrate(agent, time_ns, end_ns) && handle_event(agent, end_ns, false) &&
+           carry_out(agent, agent->sample, agent->signals);
+}
+
+/* Sizes of the structs that the caller fills, so that it can notice another version of the library. */
+EXPORT uint64_t cosim_kernel_sizes(void) {
+    return (uint64_t)sizeof(Agent) << 48 | (uint64_t)sizeof(Component) << 32 | (uint64_t)sizeof(Transfer) << 16 |
+           (uint64_t)(sizeof(Failure) + sizeof(Updates));
+}

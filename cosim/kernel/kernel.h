@@ -1,0 +1,183 @@
+/* The native micro-step loop of one agent whose components are all FMUs.
+ *
+ * It carries out the floating-point operations of cosim/coupling.py in the same order and so gives the same bits; that
+ * file is the reference and says what the methods are. All memory belongs to the caller: nothing is allocated here, and
+ * there is no state outside `Agent`. Every function that can fail returns false after noting why in `agent->failure`.
+ *
+ * The structs are mirrored in cosim/kernel/__init__.py, which compares their sizes when it loads the library.
+ */
+#ifndef NETCOSIM_KERNEL_H
+#define NETCOSIM_KERNEL_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#define NANOSECONDS_PER_SECOND 1e9
+#define EVENT_ITERATIONS 100          /* as in cosim/coupling.py */
+#define DISCRETE_STATE_ITERATIONS 100 /* as in cosim/fmu.py */
+#define STAGES 7                      /* of the Dormand-Prince pair; Runge-Kutta 4 needs four */
+
+typedef enum { RK4, DORMAND_PRINCE } Integrator;
+typedef enum { JOINT, MIDPOINT, GAUSS_SEIDEL, JACOBI } Method;
+
+/* How the values of a variable lie in memory. FMI 2.0 has FLOAT64, INT32 and its own Boolean, an int. */
+typedef enum {
+    FLOAT64,
+    FLOAT32,
+    INT8,
+    UINT8,
+    INT16,
+    UINT16,
+    INT32,
+    UINT32,
+    INT64,
+    UINT64,
+    BOOLEAN,
+    FMI2_BOOLEAN,
+    N_TYPES
+} Type;
+
+/* The FMI functions that the loop calls; getters and setters follow, one per type. */
+typedef enum {
+    SET_TIME,
+    SET_STATES,
+    GET_STATES,
+    GET_DERIVATIVES,
+    COMPLETED_STEP,
+    ENTER_EVENT_MODE,
+    UPDATE_DISCRETE_STATES,
+    ENTER_CONTINUOUS_TIME_MODE,
+    DO_STEP,
+    GET_VALUES,
+    SET_VALUES = GET_VALUES + N_TYPES,
+    N_CALLS = SET_VALUES + N_TYPES
+} Call;
+
+typedef void (*Function)(void);
+
+typedef struct {
+    int32_t fmi; /* 2 or 3 */
+    int32_t n_states;
+    int32_t first_state; /* where its states lie among those of the agent */
+    int32_t reads_earlier; /* an input is connected to a component earlier in the file's order */
+    void *instance;
+    Function functions[N_CALLS];
+} Component;
+
+/* Values of one type that move between a component and the signals. */
+typedef struct {
+    int32_t component;
+    int32_t to_component; /* else from it */
+    int32_t type;
+    int32_t n_references;
+    int32_t n_values;
+    int32_t reserved;
+    const uint32_t *references; /* n_references */
+    const int32_t *positions;   /* n_values, indices into the signals */
+    void *buffer;               /* n_values of the type */
+} Transfer;
+
+/* Transfers from `first` up to, but not including, `last`. */
+typedef struct {
+    int32_t first;
+    int32_t last;
+} Transfers;
+
+typedef enum {
+    NOTHING,
+    CALL_FAILED,
+    STOP_REQUESTED,
+    EARLY_RETURN,
+    OUTPUT_NOT_FINITE,
+    STATE_NOT_FINITE,
+    EVENTS_UNSETTLED,
+    DISCRETE_STATES_UNSETTLED,
+    STEP_TOO_SMALL
+} Reason;
+
+typedef struct {
+    int32_t reason;
+    int32_t component;
+    int32_t call;
+    int32_t status;   /* what the FMI call returned */
+    int32_t transfer; /* OUTPUT_NOT_FINITE */
+    int32_t index;    /* of the value in the transfer, or of the component's state */
+    double value;     /* time reached, or step size */
+} Failure;
+
+/* Messages that change the mailbox, in the order of arrival (cosim/mailbox.py). */
+typedef struct {
+    int64_t count;
+    const int64_t *arrival_ns;
+    const int64_t *slot;
+    const int64_t *stamp;
+    const double *time;
+    const double *values; /* count rows of the message's width */
+} Updates;
+
+typedef struct {
+    /* What the agent consists of. */
+    int32_t n_components;
+    int32_t n_states;
+    int32_t n_signals;
+    int32_t width; /* numbers in a message */
+    const Component *components;
+    const Transfer *transfers;
+    const Transfers *outputs; /* n_components */
+    const Transfers *inputs;  /* n_components */
+    Transfers propagate;
+    Transfers listen;
+    Transfers sample;
+    const int32_t *owner; /* n_signals: the component whose output it is, -1 for the mailbox */
+    const int32_t *mailbox_values; /* one row of `width` positions per in-neighbour */
+    const int32_t *mailbox_stamp;
+    const int32_t *mailbox_time;
+
+    /* How it is coupled. */
+    int32_t method;
+    int32_t integrator;
+    int64_t step_ns;
+    double relative_tolerance;
+    double absolute_tolerance;
+
+    /* What the loop remembers (cosim.coupling.LoopState). */
+    double *signals;
+    double *previous;
+    double *steps;
+    double *next_event;
+    double *time;
+
+    /* Scratch. */
+    double *before;     /* n_signals */
+    double *middle;     /* n_signals */
+    double *source;     /* n_signals */
+    double *states;     /* n_states */
+    double *new_states; /* n_states */
+    double *stages;     /* STAGES rows of n_states */
+
+    Failure failure;
+} Agent;
+
+static inline double to_seconds(int64_t nanoseconds) { return (double)nanoseconds / NANOSECONDS_PER_SECOND; }
+
+/* How many equal micro steps, none longer than the coupling's, from one time to another; their length in seconds. */
+int64_t micro_steps(const Agent *agent, int64_t start_ns, int64_t end_ns, double *length);
+
+bool fail(Agent *agent, Failure failure);
+
+/* values.c: `source` is what goes to the components, usually the signals. */
+bool carry_out(Agent *agent, Transfers transfers, const double *source);
+
+/* events.c */
+bool handle_event(Agent *agent, int64_t time_ns, bool listen);
+bool enter_event_mode(Agent *agent);
+bool iterate_events(Agent *agent);
+
+/* joint.c */
+bool runge_kutta(Agent *agent, int64_t start_ns, int64_t end_ns);
+bool dormand_prince(Agent *agent, int64_t start_ns, int64_t end_ns);
+
+/* steps.c */
+bool step_components(Agent *agent, int64_t start_ns, int64_t end_ns);
+
+#endif

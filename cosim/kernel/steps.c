@@ -1,0 +1,66 @@
+/* The couplings of Co-Simulation: between two communication points every component solves itself. */
+#include <string.h>
+
+#include "fmi_calls.h"
+
+static bool jacobi(Agent *agent, double t, double h) {
+    for (int c = 0; c < agent->n_components; c++)
+        if (!carry_out(agent, agent->inputs[c], agent->signals) || !do_step(agent, c, t, h)) return false;
+    for (int c = 0; c < agent->n_components; c++)
+        if (!carry_out(agent, agent->outputs[c], agent->signals)) return false;
+    return true;
+}
+
+static bool gauss_seidel(Agent *agent, double t, double h) {
+    for (int c = 0; c < agent->n_components; c++)
+        if (!carry_out(agent, agent->inputs[c], agent->signals) || !do_step(agent, c, t, h) ||
+            !carry_out(agent, agent->outputs[c], agent->signals))
+            return false;
+    return true;
+}
+
+/* Inputs of component `c`: outputs of components that have stepped already from `earlier`, the others extrapolated. */
+static bool set_mixed_inputs(Agent *agent, int c, const double *earlier) {
+    for (int32_t i = 0; i < agent->n_signals; i++) {
+        bool stepped = agent->owner[i] >= 0 && agent->owner[i] < c;
+        agent->source[i] = stepped ? earlier[i] : agent->middle[i];
+    }
+    return carry_out(agent, agent->inputs[c], agent->source);
+}
+
+static bool midpoint_component(Agent *agent, int c, double t, double h) {
+    if (!agent->components[c].reads_earlier)
+        return carry_out(agent, agent->inputs[c], agent->middle) && do_step(agent, c, t, h);
+    double half = 0.5 * h;
+    return set_mixed_inputs(agent, c, agent->before) && do_step(agent, c, t, half) &&
+           set_mixed_inputs(agent, c, agent->signals) && do_step(agent, c, t + half, half);
+}
+
+static bool midpoint(Agent *agent, double t, double h) {
+    size_t bytes = (size_t)agent->n_signals * sizeof(double);
+    double previous_step = agent->steps[0];
+    double ratio = previous_step > 0.0 ? 0.5 * h / previous_step : 0.0;
+    if (bytes > 0) memcpy(agent->before, agent->signals, bytes);
+    for (int32_t i = 0; i < agent->n_signals; i++)
+        agent->middle[i] = agent->before[i] + ratio * (agent->before[i] - agent->previous[i]);
+    for (int c = 0; c < agent->n_components; c++)
+        if (!midpoint_component(agent, c, t, h) || !carry_out(agent, agent->outputs[c], agent->signals)) return false;
+    if (bytes > 0) memcpy(agent->previous, agent->before, bytes);
+    agent->steps[0] = h;
+    return true;
+}
+
+bool step_components(Agent *agent, int64_t start_ns, int64_t end_ns) {
+    double h;
+    int64_t n = micro_steps(agent, start_ns, end_ns, &h);
+    double start = to_seconds(start_ns);
+    for (int64_t i = 0; i < n; i++) {
+        double t = start + (double)i * h;
+        *agent->time = t;
+        bool ok = agent->method == JACOBI         ? jacobi(agent, t, h)
+                  : agent->method == GAUSS_SEIDEL ? gauss_seidel(agent, t, h)
+                                                  : midpoint(agent, t, h);
+        if (!ok) return false;
+    }
+    return true;
+}

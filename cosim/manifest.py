@@ -1,0 +1,172 @@
+"""`manifest.json`: what a run folder says of itself, enough to draw its report without the scenario or the FMUs."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import platform
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from cosim.columns import Columns
+from cosim.errors import ConfigError, Location, Problem
+from cosim.plan import AgentPlan, AnalysisPlan, Plan
+
+FORMAT = 1
+
+MANIFEST = "manifest.json"
+SCENARIO = "scenario.yaml"
+TRAJECTORIES = "trajectories.parquet"
+DELIVERIES = "deliveries.parquet"
+
+_PACKAGES = ("netcosim", "numpy", "FMPy", "pyarrow", "eclipse-zenoh")
+
+
+def describe(plan: Plan, columns: Columns) -> dict[str, Any]:
+    """Everything in the manifest that is known before the first tick."""
+    return {
+        "format": FORMAT,
+        "name": plan.name,
+        "title": plan.title,
+        "seed": plan.seed,
+        "period_s": plan.period,
+        "period_ns": plan.period_ns,
+        "config_sha256": hashlib.sha256(plan.scenario.encode()).hexdigest(),
+        "versions": versions(),
+        "platform": platform.platform(),
+        "components": _components(plan),
+        "agents": [_agent(agent, plan) for agent in plan.agents],
+        "record": _record(plan),
+        "columns": list(columns.names),
+        "message": dict(zip(plan.layout.names, plan.layout.sizes, strict=True)),
+        "links": {
+            "sender": plan.links.sender.tolist(),
+            "receiver": plan.links.receiver.tolist(),
+            "slot": plan.links.slot.tolist(),
+            "weight": list(plan.weights),
+            "channel": list(plan.link_channel),
+        },
+        "channels": _channels(plan),
+        "analysis": _analysis(plan.analysis),
+    }
+
+
+def folder_problem(path: Path, message: str) -> ConfigError:
+    """One thing that is wrong with a run folder or a file in it."""
+    return ConfigError([Problem(message, Location(str(path)))])
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that a run's numbers could depend on."""
+    import importlib.metadata
+
+    found = {"python": platform.python_version()}
+    for package in _PACKAGES:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):  # run from a checkout, not installed
+            found[package.lower()] = importlib.metadata.version(package)
+    return found
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Replace a file as a whole: a reader sees the old text or the new one.
+
+    Raises:
+        OSError: it cannot be written; the old file is untouched.
+    """
+    temporary = path.with_name(f".{path.name}.new")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        os.replace(temporary, path)  # noqa: PTH105 - Path.replace gives no better error
+    except OSError:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise
+
+
+def to_json(manifest: Mapping[str, Any]) -> str:
+    """Readable JSON: one line per top-level entry and agent."""
+    lines = []
+    for key, value in manifest.items():
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            text = "[\n    " + ",\n    ".join(_dump(item) for item in value) + "\n  ]"
+        else:
+            text = _dump(value)
+        lines.append(f"  {_dump(key)}: {text}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def _dump(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+
+
+def command_line() -> list[str]:
+    """How this process was called, without the path of the program; `python -m cosim` is `cosim`."""
+    program = Path(sys.argv[0])
+    return [program.parent.name if program.name == "__main__.py" else program.name, *sys.argv[1:]]
+
+
+def _components(plan: Plan) -> list[dict[str, Any]]:
+    """Each FMU file or Python class once, with its hash and how many components are made from it."""
+    found: dict[tuple[str, str], dict[str, Any]] = {}
+    for agent in plan.agents:
+        for component in agent.components:
+            source = component.python or str(component.path)
+            description = component.description
+            entry = found.setdefault(
+                (source, description.sha256),
+                {
+                    "source": source,
+                    "model": description.model,
+                    "fmi": description.fmi,
+                    "sha256": description.sha256,
+                    "instances": 0,
+                },
+            )
+            entry["instances"] += 1
+    return list(found.values())
+
+
+def _agent(agent: AgentPlan, plan: Plan) -> dict[str, Any]:
+    names = [component.name for component in agent.components]
+    return {
+        "name": agent.name,
+        "components": {component.name: component.description.model for component in agent.components},
+        "publish": {
+            variable: f"{names[port.component]}.{port.variable.name}"
+            for variable, port in zip(plan.layout.names, agent.publish, strict=False)  # empty where nobody hears it
+        },
+        "method": agent.coupling.method.value,
+        "step_ns": agent.coupling.step_ns,
+    }
+
+
+def _record(plan: Plan) -> dict[str, dict[str, Any]]:
+    """Unit and largest shape of every recorded variable."""
+    record: dict[str, dict[str, Any]] = {}
+    for agent in plan.agents:
+        for name, port in agent.record:
+            entry = record.setdefault(name, {"unit": port.variable.unit, "shape": list(port.variable.shape)})
+            if len(entry["shape"]) == len(port.variable.shape):
+                entry["shape"] = [max(pair) for pair in zip(entry["shape"], port.variable.shape, strict=True)]
+    return record
+
+
+def _channels(plan: Plan) -> dict[str, dict[str, Any]]:
+    return {
+        name: {
+            "model": model.model_dump(mode="json"),
+            "min_delay_ns": model.min_delay_ns(),
+            "age_bound_ns": model.age_bound_ns(plan.period_ns),
+        }
+        for name, model in plan.channels.items()
+    }
+
+
+def _analysis(analysis: AnalysisPlan) -> dict[str, Any]:
+    """The roles, under the names that they have in YAML."""
+    return {key.removesuffix("_"): value for key, value in asdict(analysis).items()}

@@ -1,0 +1,209 @@
+"""From a scenario as written to a plan: names to indices, distributions to numbers, every choice made and checked.
+
+`load` is what the commands call. All problems of a scenario are found before anything is instantiated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from cosim import configs
+from cosim.component import Variable
+from cosim.errors import Problem
+from cosim.merging import Override
+from cosim.plan import AgentPlan, AnalysisPlan, ComponentPlan, MailboxPlan, Method, Plan
+from cosim.planning.analysis import Member, plan_analysis
+from cosim.planning.blueprint import Blueprint, draw_up
+from cosim.planning.describing import Describer
+from cosim.planning.graph import Edge, links_of, resolve_edges
+from cosim.planning.mailbox import mailbox_of, message_variables
+from cosim.planning.problems import Problems
+from cosim.planning.resolved import resolved_text
+from cosim.planning.starts import draw
+from cosim.planning.warnings import add_warnings
+from cosim.reading import Scenario, read_scenario
+from cosim.spec import MAILBOX_PORTS
+from cosim.wiring import AlgebraicLoopError, wire
+from network.messages import MessageLayout
+from network.units import format_duration
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A plan, and what is worth a word although it runs."""
+
+    plan: Plan
+    warnings: tuple[Problem, ...]
+
+
+def load(config: str, settings: Sequence[str] = (), *, seed: int | None = None, until: str | None = None) -> Planned:
+    """The plan of a scenario.
+
+    Args:
+        config: a file, or the name of a shipped scenario.
+        settings: `KEY=VALUE`, each laid over the file.
+        seed: instead of the file's.
+        until: a duration instead of the file's.
+
+    Raises:
+        ConfigError: everything that is wrong with it.
+    """
+    overrides = [Override.from_setting(setting) for setting in settings]
+    if seed is not None:
+        overrides.append(Override("seed", str(seed), "--seed"))
+    if until is not None:
+        overrides.append(Override("duration", until, "--until"))
+    return plan(read_scenario(configs.find(config), overrides=overrides))
+
+
+def plan(scenario: Scenario) -> Planned:
+    """The plan of a scenario that has been read.
+
+    Raises:
+        ConfigError: everything that is wrong with it.
+    """
+    problems = Problems()
+    ticks = _ticks(scenario, problems)
+    edges = resolve_edges(scenario, problems)
+    blueprints = _blueprints(scenario, edges, problems)
+    message = _message(scenario, blueprints, edges, problems)
+    mailboxes = {}
+    for blueprint in _each_once(blueprints.values()):
+        problems.next_view()
+        mailboxes[id(blueprint)] = mailbox_of(blueprint, message)
+    members = [
+        Member(name, tuple(_components(name, blueprint, scenario.spec.seed)), blueprint.record)
+        for name, blueprint in blueprints.items()
+    ]
+    analysis = AnalysisPlan()
+    if len(members) == len(scenario.agents):
+        analysis = plan_analysis(scenario, members, problems)
+    problems.raise_if_any()
+    add_warnings(scenario, edges, analysis.leaders, problems)
+    layout = MessageLayout(tuple(message), tuple(variable.size for variable in message.values() if variable))
+    agents = tuple(_agents(members, blueprints, mailboxes, edges, layout))
+    _check_loops(agents, blueprints, layout, problems)
+    problems.raise_if_any()
+    used = {edge.channel for edge in edges}
+    planned = Plan(
+        name=scenario.name,
+        title=scenario.spec.title,
+        seed=scenario.spec.seed,
+        period_ns=scenario.spec.period,
+        ticks=ticks,
+        layout=layout,
+        links=links_of(edges, tuple(scenario.agents)),
+        weights=tuple(edge.weight for edge in edges),
+        channels={name: model for name, model in scenario.spec.channels.items() if name in used},
+        link_channel=tuple(edge.channel for edge in edges),
+        agents=agents,
+        analysis=analysis,
+        scenario=resolved_text(scenario, agents, [blueprints[agent.name] for agent in agents], edges),
+    )
+    return Planned(planned, problems.warnings)
+
+
+def _ticks(scenario: Scenario, problems: Problems) -> int:
+    """The number of periods in the duration."""
+    period, duration = scenario.spec.period, scenario.spec.duration
+    ticks, rest = divmod(duration, period)
+    if rest:
+        nearest = max(1, ticks + (2 * rest >= period)) * period
+        problems.error(
+            f"the duration {format_duration(duration)} is no multiple of the period {format_duration(period)}; "
+            f"{format_duration(nearest)} is",
+            scenario.root.locate("duration"),
+        )
+    return ticks
+
+
+def _blueprints(scenario: Scenario, edges: Sequence[Edge], problems: Problems) -> dict[str, Blueprint]:
+    """The blueprint of every agent whose components could be described; agents alike share theirs."""
+    describer = Describer(scenario, problems)
+    in_degree = dict.fromkeys(scenario.agents, 0)
+    for edge in edges:
+        in_degree[edge.receiver] += 1
+    known: dict[tuple[int, int], Blueprint | None] = {}
+    for name, entry in scenario.agents.items():
+        key = (id(entry), in_degree[name])
+        if key not in known:
+            problems.next_view()
+            known[key] = draw_up(entry, in_degree[name], describer, scenario.spec.period)
+    found = {name: known[id(entry), in_degree[name]] for name, entry in scenario.agents.items()}
+    return {name: blueprint for name, blueprint in found.items() if blueprint is not None}
+
+
+def _each_once(blueprints: Iterable[Blueprint]) -> list[Blueprint]:
+    return list({id(blueprint): blueprint for blueprint in blueprints}.values())
+
+
+def _message(
+    scenario: Scenario, blueprints: Mapping[str, Blueprint], edges: Sequence[Edge], problems: Problems
+) -> Mapping[str, Variable | None]:
+    """The variables of a message, None for those that have a problem; everyone who is heard publishes them."""
+    silent: set[str] = set()
+    for edge in edges:
+        entry = scenario.agents[edge.sender]
+        if not entry.spec.publish and edge.sender not in silent:
+            silent.add(edge.sender)
+            problems.error(
+                f"agent {edge.receiver!r} hears {edge.sender!r}, which publishes nothing; give it 'publish'", edge.where
+            )
+    every = (name for entry in scenario.agents.values() for name in entry.spec.publish)
+    written = [name for name in every if name not in MAILBOX_PORTS]
+    publishers = [(name, blueprint) for name, blueprint in blueprints.items() if blueprint.entry.spec.publish]
+    message: dict[str, Variable | None] = dict.fromkeys(written)
+    if publishers:
+        message.update(message_variables(publishers, problems))
+    return message
+
+
+def _agents(
+    members: Sequence[Member],
+    blueprints: Mapping[str, Blueprint],
+    mailboxes: Mapping[int, MailboxPlan],
+    edges: Sequence[Edge],
+    layout: MessageLayout,
+) -> Iterable[AgentPlan]:
+    index_of = {member.name: index for index, member in enumerate(members)}
+    incoming: dict[str, list[Edge]] = {member.name: [] for member in members}
+    for edge in edges:
+        incoming[edge.receiver].append(edge)
+    heard = {edge.sender for edge in edges}
+    for member in members:
+        blueprint, edges_in = blueprints[member.name], incoming[member.name]
+        if blueprint.coupling is None:
+            raise AssertionError("an agent without a coupling, and no problem reported")
+        yield AgentPlan(
+            index=index_of[member.name],
+            name=member.name,
+            components=member.components,
+            connections=blueprint.connections,
+            publish=tuple(blueprint.publish[name] for name in layout.names) if member.name in heard else (),
+            mailbox=mailboxes[id(blueprint)],
+            neighbours=tuple(index_of[edge.sender] for edge in edges_in),
+            weights=tuple(edge.weight for edge in edges_in),
+            coupling=blueprint.coupling,
+            record=member.record,
+        )
+
+
+def _components(agent: str, blueprint: Blueprint, seed: int) -> Iterable[ComponentPlan]:
+    for part in blueprint.parts:
+        start = {name: draw(value, seed, f"{agent}.{part.name}.{name}") for name, value in part.start.items()}
+        yield ComponentPlan(part.name, part.origin.path, part.origin.python, part.description, start)
+
+
+def _check_loops(
+    agents: Iterable[AgentPlan], blueprints: Mapping[str, Blueprint], layout: MessageLayout, problems: Problems
+) -> None:
+    """No outputs and inputs that feed each other directly, of agents that are integrated jointly."""
+    firsts = {id(blueprints[agent.name]): agent for agent in reversed(list(agents))}
+    for agent in firsts.values():
+        if agent.coupling.method is not Method.JOINT:
+            continue
+        try:
+            wire(agent, layout)
+        except AlgebraicLoopError as error:
+            problems.error(str(error), blueprints[agent.name].where("connections"))

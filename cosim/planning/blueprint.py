@@ -1,0 +1,222 @@
+"""What agents that are written alike and hear equally many others have in common: resolved and checked once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from cosim.component import Description, Value, Variable
+from cosim.errors import Location, suggest
+from cosim.plan import Connection, CouplingPlan, Port
+from cosim.planning.coupling import choose_coupling
+from cosim.planning.describing import Describer, Origin
+from cosim.planning.ports import Ports, a_or_an, numbers, type_mismatch, unit_mismatch
+from cosim.planning.problems import Problems
+from cosim.planning.starts import FLOATS, INTEGERS, NUMERIC, Element, elements, is_settable
+from cosim.reading import AgentEntry
+from cosim.source import Node
+from cosim.spec import MAILBOX_PORTS, ComponentSpec
+from network.units import to_seconds
+
+
+@dataclass(frozen=True)
+class Part:
+    """One component: where it comes from, what it says of itself, and its start values before anything is drawn."""
+
+    name: str
+    origin: Origin
+    description: Description
+    start: Mapping[str, tuple[Element, ...]]
+
+
+@dataclass(frozen=True)
+class Blueprint:
+    """Agents alike.
+
+    Attributes:
+        entry: how they are written.
+        n_neighbours: how many others each of them hears.
+        assigned: parameters that are set to that number or to the period, as `component.variable`.
+        publish: outputs by the message's variables.
+    """
+
+    entry: AgentEntry
+    n_neighbours: int
+    parts: tuple[Part, ...]
+    ports: Ports
+    assigned: tuple[str, ...]
+    connections: tuple[Connection, ...]
+    publish: Mapping[str, Port]
+    record: tuple[tuple[str, Port], ...]
+    coupling: CouplingPlan | None
+
+    def where(self, *path: str | int, key: bool = False) -> Location:
+        """Where a part of these agents was written."""
+        return self.entry.node.locate(*path, key=key)
+
+
+def draw_up(entry: AgentEntry, n_neighbours: int, describer: Describer, period_ns: int) -> Blueprint | None:
+    """The blueprint of agents; None, and problems, if one of their components cannot be opened."""
+    spec, node, problems = entry.spec, entry.node, describer.problems
+    if not spec.components:
+        problems.error("an agent without components; give it 'components' or a 'template'", node.key or node.where)
+        return None
+    names = tuple(spec.components)
+    wanted: dict[str, Value] = {"count": n_neighbours, "period": to_seconds(period_ns)}
+    assigned = {reference: wanted[key] for key, reference in spec.receive.items() if key in wanted}
+    parts = []
+    for name, component_spec in spec.components.items():
+        at = node.find("components", name) or node
+        part = _part(name, component_spec, at, assigned, describer)
+        if part is not None:
+            parts.append(part)
+    ports = Ports(names, {part.name: part.description for part in parts}, problems)
+    assigned_ports = tuple(_parameters(ports, entry))
+    connections = _connections(ports, entry)
+    publish = _publish(ports, entry)
+    record = _record(ports, entry)
+    if len(parts) < len(names):
+        return None
+    coupling = choose_coupling(entry, ports.descriptions, n_neighbours, period_ns, problems)
+    return Blueprint(entry, n_neighbours, tuple(parts), ports, assigned_ports, connections, publish, record, coupling)
+
+
+def _part(
+    name: str, spec: ComponentSpec, node: Node, assigned: Mapping[str, Value], describer: Describer
+) -> Part | None:
+    """The component written at `node`, described with its structural parameters in place.
+
+    Args:
+        name: of the component.
+        spec: the component.
+        node: where it was written.
+        assigned: parameters of this and other components that the framework sets, by `component.variable`.
+        describer: opens it.
+    """
+    where = node.locate("fmu") if spec.fmu is not None else node.locate("python")
+    origin = describer.origin(name, spec, node.key or node.where, where)
+    description = describer.describe(origin, {}, where) if origin else None
+    if origin is None or description is None:
+        return None
+    variables, problems = description.variables, describer.problems
+    start = dict(_start_values(spec, node, variables, problems, structural=True))
+    for reference, value in assigned.items():
+        component, _, variable = reference.partition(".")
+        if component == name and variable in spec.start:
+            problems.error(f"'receive' sets {variable!r}; leave it out here", node.locate("start", variable, key=True))
+        elif component == name and variable in variables:
+            start[variable] = (value,)
+    structural = {
+        key: value[0]
+        for key, value in start.items()
+        if variables[key].causality == "structuralParameter" and value and isinstance(value[0], int)
+    }
+    if structural:
+        description = describer.describe(origin, structural, where)
+        if description is None:
+            return None
+    start.update(_start_values(spec, node, description.variables, problems, structural=False))
+    return Part(name, origin, description, start)
+
+
+def _start_values(
+    spec: ComponentSpec, node: Node, variables: Mapping[str, Variable], problems: Problems, *, structural: bool
+) -> Mapping[str, tuple[Element, ...]]:
+    """The start values of the structural parameters, or those of all other variables."""
+    found = {}
+    for name, value in spec.start.items():
+        variable = variables.get(name)
+        if variable is None:
+            known = [other.name for other in variables.values() if is_settable(other)]
+            problems.error(f"no variable {name!r}{suggest(name, known)}", node.locate("start", name, key=True))
+        elif (variable.causality == "structuralParameter") is structural:
+            try:
+                if value_of_each := elements(value, variable):
+                    found[name] = value_of_each
+            except ValueError as error:
+                problems.error(str(error), node.locate("start", name))
+    return found
+
+
+def _parameters(ports: Ports, entry: AgentEntry) -> Iterator[str]:
+    """What `receive: count` and `receive: period` name, where that is a parameter of the right type and unit."""
+    for key, types in (("count", INTEGERS), ("period", FLOATS)):
+        where = entry.node.locate("receive", key)
+        reference = entry.spec.receive.get(key)
+        port = ports.find(reference, where) if reference else None
+        if reference is None or port is None:
+            continue
+        variable = port.variable
+        if variable.causality not in ("structuralParameter", "parameter") or variable.dtype not in types:
+            kind = "a whole-number parameter" if key == "count" else "a floating-point parameter"
+            ports.problems.error(
+                f"{key!r} sets {kind}; {reference!r} is {a_or_an(variable.causality)} of type {variable.dtype}", where
+            )
+        elif key == "period" and variable.unit not in (None, "s"):
+            ports.problems.error(f"the period is in s, but {reference!r} is in {variable.unit}", where)
+        else:
+            yield reference
+
+
+def _connections(ports: Ports, entry: AgentEntry) -> tuple[Connection, ...]:
+    made: list[Connection] = []
+    fed: dict[str, Location] = {}
+    for index, (source_name, target_name) in enumerate(entry.spec.connections):
+        where = entry.node.locate("connections", index)
+        source, target = ports.output(source_name, where), ports.input(target_name, where)
+        if target is not None and target_name in fed:
+            ports.problems.error(f"{target_name!r} is connected twice, first {fed[target_name].short}", where)
+        fed.setdefault(target_name, where)
+        if source is not None and target is not None and _fits(ports, source, target, where):
+            made.append(Connection(source, target))
+    return tuple(made)
+
+
+def _fits(ports: Ports, source: Port, target: Port, where: Location) -> bool:
+    """Whether an output can feed an input: size, type and unit."""
+    names = f"{ports.name(source)!r}", f"{ports.name(target)!r}"
+    if source.variable.size != target.variable.size:
+        sizes = source.variable.size, target.variable.size
+        message = f"{names[0]} has {numbers(sizes[0])}, but {names[1]} takes {numbers(sizes[1])}"
+    elif unit_mismatch(source.variable, target.variable):
+        message = f"{names[0]} is in {source.variable.unit}, but {names[1]} is in {target.variable.unit}"
+    elif mismatch := type_mismatch(source.variable, target.variable):
+        message = f"{names[0]} {mismatch.format(names[1])}"
+    else:
+        return True
+    ports.problems.error(message, where)
+    return False
+
+
+def _publish(ports: Ports, entry: AgentEntry) -> Mapping[str, Port]:
+    published = {}
+    for name, reference in entry.spec.publish.items():
+        if name in MAILBOX_PORTS:
+            where = entry.node.locate("publish", name, key=True)
+            message = f"a message cannot have a variable {name!r}: under 'receive' that is the mailbox's own"
+            ports.problems.error(message, where)
+            continue
+        port = ports.output(reference, entry.node.locate("publish", name))
+        if port is not None:
+            published[name] = port
+    return published
+
+
+def _record(ports: Ports, entry: AgentEntry) -> tuple[tuple[str, Port], ...]:
+    """What is asked for, else every numeric output."""
+    if entry.spec.record is None:
+        return tuple(
+            (f"{name}.{variable.name}", Port(index, variable))
+            for index, name in enumerate(ports.components)
+            if name in ports.descriptions
+            for variable in ports.descriptions[name].variables.values()
+            if variable.causality == "output" and variable.dtype in NUMERIC and variable.size
+        )
+    recorded: dict[str, Port] = {}
+    for index, reference in enumerate(entry.spec.record):
+        where = entry.node.locate("record", index)
+        if reference in recorded:
+            ports.problems.error(f"{reference!r} is recorded twice", where)
+        elif (port := ports.find(reference, where)) is not None:
+            recorded[reference] = port
+    return tuple(recorded.items())

@@ -1,0 +1,168 @@
+"""The message of a network, and which inputs of its receivers the mailbox feeds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from cosim.component import Variable, head
+from cosim.errors import Location, suggest
+from cosim.plan import MailboxPlan, Port
+from cosim.planning.blueprint import Blueprint, Part
+from cosim.planning.ports import numbers, type_mismatch, unit_mismatch
+from cosim.planning.problems import Problems
+from cosim.spec import MAILBOX_PORTS, PARAMETER_PORTS
+
+
+def mailbox_of(blueprint: Blueprint, message: Mapping[str, Variable | None]) -> MailboxPlan:
+    """Which inputs the mailbox feeds.
+
+    Args:
+        blueprint: of the receivers.
+        message: the variables that every agent publishes, by name; None for one that was reported already.
+    """
+    receive, fed, problems = blueprint.entry.spec.receive, _fed(blueprint), blueprint.ports.problems
+    feeding: dict[str, Port] = {}
+    for name, reference in receive.items():
+        if name in PARAMETER_PORTS:
+            continue
+        where = blueprint.where("receive", name)
+        if name not in message and name not in MAILBOX_PORTS:
+            at = blueprint.where("receive", name, key=True)
+            problems.error(f"no agent publishes {name!r}{suggest(name, [*message, *MAILBOX_PORTS])}", at)
+            continue
+        port = blueprint.ports.input(reference, where)
+        if port is not None and reference in fed:
+            problems.error(f"{reference!r} is connected twice, first {fed[reference].short}", where)
+            continue
+        fed[reference] = where
+        source = message.get(name)
+        if port is None or (name in message and source is None):
+            continue
+        if (rows := _rows(blueprint, port, name, source, where)) is not None:
+            feeding[name] = rows
+    _warn_unconnected(blueprint, fed)
+    if not blueprint.n_neighbours:
+        return MailboxPlan({}, None, None, None)
+    values = {name: port for name, port in feeding.items() if name not in MAILBOX_PORTS}
+    return MailboxPlan(values, feeding.get("stamp"), feeding.get("time"), feeding.get("weight"))
+
+
+def _fed(blueprint: Blueprint) -> dict[str, Location]:
+    """The inputs that connections feed, and where."""
+    spec = blueprint.entry.spec
+    return {target: blueprint.where("connections", index) for index, (_, target) in enumerate(spec.connections)}
+
+
+def _rows(blueprint: Blueprint, port: Port, name: str, source: Variable | None, where: Location) -> Port | None:
+    """The port cut to one row per in-neighbour, where its FMU allows; None, and a problem, where it does not fit."""
+    reference, variable, n = blueprint.ports.name(port), port.variable, blueprint.n_neighbours
+    problems, width = blueprint.ports.problems, source.size if source else 1
+    if n == 0:
+        return None
+    fitting = _first_rows(blueprint.parts[port.component], variable, n, width)
+    if fitting is None:
+        _report_size(blueprint, port, width, where)
+    elif source is not None and unit_mismatch(source, variable):
+        problems.error(f"{name!r} is published in {source.unit}, but {reference!r} is in {variable.unit}", where)
+    elif source is not None and (mismatch := type_mismatch(source, variable)):
+        problems.error(f"{name!r} {mismatch.format(repr(reference))}", where)
+    elif name == "time" and variable.unit not in (None, "s"):
+        problems.error(f"the sample times are in s, but {reference!r} is in {variable.unit}", where)
+    else:
+        return Port(port.component, fitting)
+    return None
+
+
+def _first_rows(part: Part, variable: Variable, n: int, width: int) -> Variable | None:
+    """The variable with `n` rows of `width` numbers; of an FMI 2.0 array, declared at its largest, the head."""
+    if variable.size == n * width:
+        return variable
+    if part.description.fmi != "2.0" or variable.size < n * width:
+        return None
+    shape = (n * width,) if len(variable.shape) == 1 else (n, *variable.shape[1:])
+    cut = head(variable, shape)
+    return cut if cut.size == n * width else None
+
+
+def _report_size(blueprint: Blueprint, port: Port, width: int, where: Location) -> None:
+    """Why the rows of the mailbox do not fit an input, said where the remedy is."""
+    reference, size, n = blueprint.ports.name(port), port.variable.size, blueprint.n_neighbours
+    part, problems = blueprint.parts[port.component], blueprint.ports.problems
+    hears = f"an agent that hears {n} other{'s' if n > 1 else ''}"
+    count = blueprint.entry.spec.receive.get("count", "")
+    sizing = [v.name for v in part.description.variables.values() if v.causality == "structuralParameter"]
+    if count.startswith(f"{part.name}.") and count not in blueprint.assigned:
+        return  # `count` is wrong, and has been reported
+    if not count and sizing:
+        problems.error(
+            f"{part.name!r} is not told how many others an agent hears; add 'count: {part.name}.{sizing[0]}'",
+            blueprint.where("receive", key=True),
+        )
+    elif part.description.fmi == "2.0" and size % width == 0:
+        problems.error(f"{reference!r} has {size // width} rows, which FMI 2.0 fixes: too few for {hears}", where)
+    else:
+        problems.error(f"{reference!r} takes {numbers(size)}, but {hears} receives {n} x {width}", where)
+
+
+def _warn_unconnected(blueprint: Blueprint, fed: Mapping[str, Location]) -> None:
+    """An input that nothing feeds keeps its start value; without a word in the file that is rarely meant."""
+    for part in blueprint.parts:
+        loose = [
+            variable.name
+            for variable in part.description.variables.values()
+            if variable.causality == "input"
+            and variable.size
+            and f"{part.name}.{variable.name}" not in fed
+            and variable.name not in part.start
+        ]
+        if loose:
+            inputs = ", ".join(f"'{part.name}.{name}'" for name in loose)
+            one = len(loose) == 1
+            blueprint.ports.problems.warning(
+                f"{inputs} {'is' if one else 'are'} not connected and {'keeps its' if one else 'keep their'} start "
+                f"value{'' if one else 's'}; a value under 'start' says that this is meant",
+                blueprint.where("components", part.name, key=True),
+            )
+
+
+def message_variables(publishers: Sequence[tuple[str, Blueprint]], problems: Problems) -> Mapping[str, Variable]:
+    """The variables of the network's message; every publisher must have the same names, sizes, units and types.
+
+    Args:
+        publishers: agents that publish, in the order of the file; at least one.
+        problems: where differences go.
+    """
+    first_name, first = publishers[0]
+    message = {name: port.variable for name, port in first.publish.items()}
+    for _, other in publishers[1:]:
+        if other is first:
+            continue
+        where = other.where("publish", key=True)
+        names = list(other.entry.spec.publish)
+        expected = list(first.entry.spec.publish)
+        if set(names) != set(expected):
+            problems.error(
+                f"every agent must publish the same message: here it is {', '.join(names)}; "
+                f"agent {first_name!r} publishes {', '.join(expected)}",
+                where,
+            )
+            continue
+        for name, port in other.publish.items():
+            if name in message and (difference := _difference(port.variable, message[name])):
+                here, there = difference
+                problems.error(
+                    f"every agent must publish the same message: {name!r} is {here} here, "
+                    f"{there} from agent {first_name!r}",
+                    other.where("publish", name),
+                )
+    return message
+
+
+def _difference(here: Variable, there: Variable) -> tuple[str, str] | None:
+    """How two published variables differ, in words."""
+    pairs = (
+        (numbers(here.size), numbers(there.size)),
+        (f"in {here.unit}", f"in {there.unit}"),
+        (f"of type {here.dtype}", f"of type {there.dtype}"),
+    )
+    return next((pair for pair in pairs if pair[0] != pair[1]), None)

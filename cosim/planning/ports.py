@@ -1,0 +1,98 @@
+"""`component.variable` to a port of an agent, and whether one port can feed another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from cosim.component import Description, Variable
+from cosim.errors import Location, suggest
+from cosim.plan import Port
+from cosim.planning.problems import Problems
+from cosim.planning.starts import FLOATS, INTEGERS, NUMERIC
+
+_WHOLE = INTEGERS | {"Boolean", "Enumeration"}
+
+
+@dataclass(frozen=True)
+class Ports:
+    """The ports of one agent.
+
+    Attributes:
+        components: names, in the agent's order.
+        descriptions: of those that could be opened; the others have been reported.
+    """
+
+    components: Sequence[str]
+    descriptions: Mapping[str, Description]
+    problems: Problems
+
+    def find(self, reference: str, where: Location) -> Port | None:
+        """The numeric port that `component.variable` names; None, and a problem, if there is none."""
+        component, _, name = reference.partition(".")
+        if component not in self.components:
+            self.problems.error(f"unknown component {component!r}{suggest(component, self.components)}", where)
+            return None
+        description = self.descriptions.get(component)
+        if description is None:
+            return None
+        variable = description.variables.get(name)
+        if variable is None:
+            self.problems.error(f"{component!r} has no variable {name!r}{suggest(name, description.variables)}", where)
+            return None
+        if variable.dtype not in NUMERIC:
+            self.problems.error(f"{reference!r} is of type {variable.dtype}; only numbers can be used here", where)
+            return None
+        return Port(self.components.index(component), variable)
+
+    def output(self, reference: str, where: Location) -> Port | None:
+        """As `find`; it must be an output."""
+        return self._with_causality(reference, "output", where)
+
+    def input(self, reference: str, where: Location) -> Port | None:
+        """As `find`; it must be an input."""
+        return self._with_causality(reference, "input", where)
+
+    def _with_causality(self, reference: str, wanted: str, where: Location) -> Port | None:
+        port = self.find(reference, where)
+        if port is None or port.variable.causality == wanted:
+            return port
+        variables = self.descriptions[self.components[port.component]].variables.values()
+        those = _short_list(variable.name for variable in variables if variable.causality == wanted)
+        has = f"; the {wanted}s of {self.components[port.component]!r}: {those}" if those else ""
+        self.problems.error(f"{reference!r} is {a_or_an(port.variable.causality)}, not {a_or_an(wanted)}{has}", where)
+        return None
+
+    def name(self, port: Port) -> str:
+        """`component.variable`."""
+        return f"{self.components[port.component]}.{port.variable.name}"
+
+
+def type_mismatch(source: Variable, target: Variable) -> str | None:
+    """Why values of one type cannot feed another, or None."""
+    same = source.dtype == target.dtype
+    if same or target.dtype in FLOATS or (source.dtype in _WHOLE and target.dtype in INTEGERS):
+        return None
+    return f"is of type {source.dtype} and cannot feed {{}} of type {target.dtype}"
+
+
+def unit_mismatch(source: Variable, target: Variable) -> bool:
+    """Whether both declare a unit, and not the same one."""
+    return source.unit is not None and target.unit is not None and source.unit != target.unit
+
+
+def numbers(size: int) -> str:
+    """`1 number`, `2 numbers`."""
+    return "1 number" if size == 1 else f"{size} numbers"
+
+
+def a_or_an(causality: str) -> str:
+    """A causality in words, with its article."""
+    words = {"structuralParameter": "structural parameter", "calculatedParameter": "calculated parameter"}
+    word = words.get(causality, causality)
+    return f"an {word}" if word[0] in "aeiou" else f"a {word}"
+
+
+def _short_list(names: Iterable[str]) -> str:
+    listed = list(names)
+    return ", ".join(listed) if len(listed) <= 12 else ""

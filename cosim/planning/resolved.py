@@ -1,0 +1,177 @@
+"""A plan as a scenario again: every choice made, every draw a number. Running it gives the same plan."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from cosim.component import Value, Variable
+from cosim.plan import AgentPlan, Loop
+from cosim.planning.blueprint import Blueprint
+from cosim.planning.describing import is_file
+from cosim.planning.graph import Edge
+from cosim.reading import Scenario
+from cosim.source import Lines, dump
+from network.units import format_duration
+
+Tree = dict[str, Any]
+
+
+def resolved_text(
+    scenario: Scenario, agents: Sequence[AgentPlan], blueprints: Sequence[Blueprint], edges: Sequence[Edge]
+) -> str:
+    """The resolved scenario as YAML.
+
+    Args:
+        scenario: as it was read.
+        agents: as planned.
+        blueprints: of each agent.
+        edges: of the graph.
+    """
+    spec = scenario.spec
+    templates, members = _group(agents, blueprints)
+    used = {edge.channel for edge in edges}
+    tree: Tree = {
+        "name": scenario.name,
+        "title": spec.title,
+        "seed": spec.seed,
+        "period": format_duration(spec.period),
+        "duration": format_duration(spec.duration),
+        "templates": templates,
+        "agents": members,
+        "graph": _graph(spec.graph.weights, edges),
+        "channels": {n: m.model_dump(mode="json") for n, m in spec.channels.items() if n in used},
+        "analysis": spec.analysis.model_dump(mode="json", by_alias=True, exclude_unset=True),
+    }
+    return dump({key: value for key, value in tree.items() if value not in ({}, "")})
+
+
+def _group(agents: Sequence[AgentPlan], blueprints: Sequence[Blueprint]) -> tuple[Tree, Tree]:
+    """Templates of what agents have in common, and what is each agent's own.
+
+    Agents share a template if they differ in numbers only; start values that they all share are the template's.
+    """
+    groups: list[tuple[Tree, list[int]]] = []
+    for index, (agent, blueprint) in enumerate(zip(agents, blueprints, strict=True)):
+        common = _common(agent, blueprint)
+        for other, indices in groups:
+            if other == common:
+                indices.append(index)
+                break
+        else:
+            groups.append((common, [index]))
+    templates: Tree = {}
+    own: dict[str, Tree] = {}
+    for common, indices in groups:
+        starts = {index: _starts(agents[index], blueprints[index]) for index in indices}
+        shared = _shared(list(starts.values()))
+        for component, values in shared.items():
+            if values:
+                common["components"][component]["start"] = values
+        name = _free_name(blueprints[indices[0]].entry.template or "agent", templates)
+        templates[name] = common
+        for index in indices:
+            components = {
+                component: {"start": rest}
+                for component, values in starts[index].items()
+                if (rest := {key: value for key, value in values.items() if key not in shared[component]})
+            }
+            own[agents[index].name] = {"template": name} | ({"components": components} if components else {})
+    return templates, {agent.name: own[agent.name] for agent in agents}
+
+
+def _common(agent: AgentPlan, blueprint: Blueprint) -> Tree:
+    """All of an agent but its start values."""
+    spec = blueprint.entry.spec
+    components = {
+        part.name: {"python": part.origin.python}
+        if part.origin.python is not None
+        else {"fmu": _fmu_text(spec.components[part.name].fmu or "", str(part.origin.path))}
+        for part in blueprint.parts
+    }
+    coupling = agent.coupling
+    tree: Tree = {
+        "components": components,
+        "connections": Lines(f"{source} -> {target}" for source, target in spec.connections),
+        "publish": dict(spec.publish),
+        "receive": dict(spec.receive),
+        "record": [name for name, _ in agent.record],
+        "coupling": {
+            "method": str(coupling.method),
+            "step": format_duration(coupling.step_ns),
+            "integrator": str(coupling.integrator),
+            "relative_tolerance": coupling.relative_tolerance,
+            "absolute_tolerance": coupling.absolute_tolerance,
+        }
+        | ({"loop": str(coupling.loop)} if spec.coupling.loop or coupling.loop is Loop.PYTHON else {}),
+    }
+    return {key: value for key, value in tree.items() if value or key == "record"}
+
+
+def _fmu_text(written: str, path: str) -> str:
+    """A shipped FMU by name, a file by its absolute path."""
+    return path if is_file(written) else written
+
+
+def _starts(agent: AgentPlan, blueprint: Blueprint) -> dict[str, Tree]:
+    """Start values by component, without those that the framework sets."""
+    return {
+        component.name: {
+            name: _start(values, component.description.variables[name])
+            for name, values in component.start.items()
+            if f"{component.name}.{name}" not in blueprint.assigned
+        }
+        for component in agent.components
+    }
+
+
+def _start(values: tuple[Value, ...], variable: Variable) -> Value | list[Value]:
+    return list(values) if variable.shape else values[0]
+
+
+def _shared(starts: Sequence[Mapping[str, Tree]]) -> dict[str, Tree]:
+    """The start values that all have alike, bit by bit."""
+    first = starts[0]
+    return {
+        component: {
+            name: value
+            for name, value in values.items()
+            if all(_same(other[component], name, value) for other in starts)
+        }
+        for component, values in first.items()
+    }
+
+
+def _same(values: Tree, name: str, value: Any) -> bool:
+    return name in values and repr(values[name]) == repr(value)
+
+
+def _free_name(wanted: str, taken: Mapping[str, Any]) -> str:
+    name, number = wanted, 1
+    while name in taken:
+        number += 1
+        name = f"{wanted}-{number}"
+    return name
+
+
+def _graph(weights: str, edges: Sequence[Edge]) -> Tree:
+    """Edges as text where all share a channel, as mappings where they do not or have weights."""
+    if not edges:
+        return {}
+    channels = {edge.channel for edge in edges}
+    tree: Tree = {"weights": weights}
+    if len(channels) == 1:
+        tree["channel"] = edges[0].channel
+    tree["edges"] = Lines(_edge(edge, weighted=weights == "given", named=len(channels) > 1) for edge in edges)
+    return tree
+
+
+def _edge(edge: Edge, *, weighted: bool, named: bool) -> str | Tree:
+    if not weighted and not named:
+        return f"{edge.sender} -> {edge.receiver}"
+    tree: Tree = {"from": edge.sender, "to": edge.receiver}
+    if weighted:
+        tree["weight"] = edge.weight
+    if named:
+        tree["channel"] = edge.channel
+    return tree

@@ -1,0 +1,449 @@
+"""Components written in Python: declare variables, implement a few methods. `docs/components.md` shows how.
+
+`PythonComponent` is what a user derives from; `PythonInstance` drives one through the framework's life cycle.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib
+import inspect
+import pkgutil
+import sys
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cosim.component import Component, Description, Floats, Interface, Value, Variable
+from cosim.errors import ComponentError, ConfigError, Problem, suggest
+from cosim.fmu_values import start_values
+
+_ARRAY_TYPES: dict[str, Any] = {
+    "Float64": np.float64,
+    "Int64": np.int64,
+    "UInt64": np.int64,
+    "Enumeration": np.int64,
+    "Boolean": np.bool_,
+    "String": np.object_,
+}
+
+
+# --- declarations ---------------------------------------------------------------------------------------------------
+class Declaration:
+    """A variable of a component, declared as a class attribute; on an instance it is the variable's value.
+
+    A scalar reads as a number (or bool, or str), an array as a NumPy array. Assigning copies into place and must fit
+    the shape.
+
+    Args:
+        start: start value, one for all elements or one each.
+        shape: sizes; the name of a `Structural` stands for its value.
+        unit: such as "rad/s".
+        dtype: `Float64`, `Int64`, `Boolean`, `String` or (with `items`) `Enumeration`.
+        items: names of an enumeration's items to their values.
+        description: for people.
+    """
+
+    causality: ClassVar[str]
+    initial: ClassVar[str] = "exact"
+
+    def __init__(
+        self,
+        start: ArrayLike = 0.0,
+        *,
+        shape: Sequence[int | str] = (),
+        unit: str | None = None,
+        dtype: str = "Float64",
+        items: Mapping[str, int] | None = None,
+        description: str = "",
+    ) -> None:
+        self.start = start
+        self.shape = tuple(shape)
+        self.unit = unit
+        self.dtype = "Enumeration" if items else dtype
+        self.items = dict(items or {})
+        self.description = description
+        self.name = ""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, instance: PythonComponent | None, owner: type) -> Any:
+        if instance is None:
+            return self
+        value = instance.values_of(self.name)
+        return value if value.shape else value.item()
+
+    def __set__(self, instance: PythonComponent, value: ArrayLike) -> None:
+        instance.values_of(self.name)[...] = value
+
+    @property
+    def variability(self) -> str:
+        return "continuous" if self.dtype == "Float64" else "discrete"
+
+    @property
+    def dependencies(self) -> tuple[str, ...] | None:
+        return None
+
+    def variable(self, structural: Mapping[str, int]) -> Variable:
+        """As the framework sees it, with the structural parameters given."""
+        shape = tuple(structural[n] if isinstance(n, str) else n for n in self.shape)
+        start = np.broadcast_to(np.array(self.start, _ARRAY_TYPES[self.dtype]), shape)
+        return Variable(
+            name=self.name,
+            causality=self.causality,
+            variability=self.variability,
+            dtype=self.dtype,
+            shape=shape,
+            unit=self.unit,
+            start=tuple(start.reshape(-1).tolist()),
+            description=self.description,
+            items=self.items,
+            dependencies=self.dependencies,
+            initial=self.initial,
+        )
+
+
+class Input(Declaration):
+    """Set from outside: by a connection, the mailbox or a start value."""
+
+    causality = "input"
+
+
+class Output(Declaration):
+    """Computed by `outputs` or `step`.
+
+    Args:
+        depends_on: names of the inputs that `outputs` uses to compute it; () for none. By default all are assumed,
+            which forbids `joint` coupling in a loop of such components.
+        **declaration: see `Declaration`.
+    """
+
+    causality = "output"
+    initial = "calculated"
+
+    def __init__(self, *, depends_on: Sequence[str] | None = None, **declaration: Any) -> None:
+        super().__init__(**declaration)
+        self._depends_on = None if depends_on is None else tuple(depends_on)
+
+    @property
+    def dependencies(self) -> tuple[str, ...] | None:
+        return self._depends_on
+
+
+class State(Declaration):
+    """A continuous state, whose derivative `derivatives` returns. It is an output too."""
+
+    causality = "output"
+
+    @property
+    def dependencies(self) -> tuple[str, ...] | None:
+        return ()
+
+
+class Parameter(Declaration):
+    """Fixed when the run starts."""
+
+    causality = "parameter"
+
+    @property
+    def variability(self) -> str:
+        return "fixed"
+
+
+class Structural(Parameter):
+    """A whole number that sizes arrays, such as the number of in-neighbours."""
+
+    causality = "structuralParameter"
+
+    def __init__(self, start: int = 0, *, description: str = "") -> None:
+        super().__init__(start, dtype="UInt64", description=description)
+
+
+class PythonComponent:
+    """Derive from this, declare variables as class attributes and implement what the component needs.
+
+    - A function of time and inputs: `outputs`. It can be coupled in every way.
+    - A component that steps itself (Co-Simulation): `step`, and `outputs` if outputs follow from the rest.
+    - A component with continuous states (Model Exchange): `derivatives`, and `outputs` likewise.
+
+    Methods read and assign variables as attributes (`self.u = …`) and must not look at any clock or global random
+    state: equal runs must give equal bits.
+    """
+
+    _values: dict[str, NDArray[Any]]
+
+    def initialise(self, time: float) -> None:
+        """Compute states and other values at the start from parameters, start values and inputs.
+
+        Called again whenever an input of the start changed, so it must not depend on its own results.
+        """
+
+    def outputs(self, time: float) -> None:
+        """Set the outputs from time, states and inputs."""
+
+    def step(self, time: float, step: float) -> None:
+        """Co-Simulation: advance from `time` by `step` seconds; the inputs are held meanwhile."""
+
+    def derivatives(self, time: float) -> Mapping[str, ArrayLike]:  # noqa: ARG002 - for those who override it
+        """Model Exchange: the derivative of every `State`, by name."""
+        return {}
+
+    def event(self, time: float) -> None:
+        """Model Exchange: update discrete values at ticks, arrivals and time events, where states may jump.
+
+        It may be called several times at one instant, whenever an input changed, so it must be idempotent.
+        """
+
+    def next_event(self, time: float) -> float | None:  # noqa: ARG002 - for those who override it
+        """Model Exchange: the time of the next time event after `time`, in seconds, if there is one."""
+        return None
+
+    def values_of(self, name: str) -> NDArray[Any]:
+        """The memory of a variable."""
+        try:
+            return self._values[name]
+        except AttributeError:
+            raise AttributeError(f"{name} has no value in __init__ yet; use initialise") from None
+
+
+# --- descriptions ---------------------------------------------------------------------------------------------------
+def describe_python(dotted: str, structural: Mapping[str, int] | None = None) -> Description:
+    """What a component class says of itself.
+
+    Args:
+        dotted: `package.module:Class`.
+        structural: values of its `Structural` parameters; others keep their start values.
+
+    Raises:
+        ConfigError: there is no such class, or it is no usable component.
+    """
+    cls = load(dotted)
+    declared = _declarations(cls)
+    sizes = {name: int(np.asarray(d.start)) for name, d in declared.items() if isinstance(d, Structural)}
+    sizes |= {name: value for name, value in (structural or {}).items() if name in sizes}
+    try:
+        variables = {
+            name: replace(d.variable({}), start=(sizes[name],)) if isinstance(d, Structural) else d.variable(sizes)
+            for name, d in declared.items()
+        }
+    except (KeyError, ValueError, TypeError) as error:
+        raise _refuse(f"{dotted} declares a variable that cannot be: {error}") from error
+    source = inspect.getsourcefile(cls)
+    return Description(
+        model=cls.__name__,
+        fmi="python",
+        interfaces=_interfaces(cls, dotted),
+        variables=variables,
+        sha256=hashlib.sha256(Path(source).read_bytes()).hexdigest() if source else "",
+    )
+
+
+def _declarations(cls: type[PythonComponent]) -> dict[str, Declaration]:
+    """By name, those of base classes first."""
+    return {
+        name: value
+        for base in reversed(cls.__mro__)
+        for name, value in vars(base).items()
+        if isinstance(value, Declaration)
+    }
+
+
+def _interfaces(cls: type[PythonComponent], dotted: str) -> tuple[Interface, ...]:
+    has_states = any(isinstance(d, State) for d in _declarations(cls).values())
+    has_derivatives = cls.derivatives is not PythonComponent.derivatives
+    has_step = cls.step is not PythonComponent.step
+    if has_states and not (has_derivatives or has_step):
+        raise _refuse(f"{dotted} declares a State but implements neither derivatives nor step")
+    if has_derivatives and not has_states:
+        raise _refuse(f"{dotted} implements derivatives but declares no State")
+    offers = {
+        Interface.MODEL_EXCHANGE: has_derivatives or not (has_states or has_step),
+        Interface.CO_SIMULATION: has_step or not has_states,
+    }
+    return tuple(interface for interface, offered in offers.items() if offered)
+
+
+# --- loading --------------------------------------------------------------------------------------------------------
+@functools.cache
+def load(dotted: str) -> type[PythonComponent]:
+    """The class at `package.module:Class`, looked for on Python's path, then in the current folder.
+
+    Raises:
+        ConfigError: there is none, its module cannot be imported, or it is no component.
+    """
+    module_name, colon, class_name = dotted.partition(":")
+    if not (module_name and colon and class_name):
+        raise _refuse(f"{dotted!r} names no Python class; write package.module:Class")
+    if str(Path.cwd()) not in sys.path:
+        sys.path.append(str(Path.cwd()))
+    try:
+        module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        missing = error.name or ""
+        if missing != module_name and not module_name.startswith(f"{missing}."):
+            raise _refuse(f"{module_name} cannot be imported: {_say(error)}") from error
+        raise _refuse(f"there is no Python module {missing!r}{suggest(missing, _siblings(missing))}") from None
+    except Exception as error:
+        raise _refuse(f"{module_name} cannot be imported: {_say(error)}") from error
+    cls = getattr(module, class_name, None)
+    if isinstance(cls, type) and issubclass(cls, PythonComponent):
+        return cls
+    components = [
+        name
+        for name, value in vars(module).items()
+        if isinstance(value, type) and issubclass(value, PythonComponent) and value is not PythonComponent
+    ]
+    if cls is None:
+        raise _refuse(f"module {module_name} has no class {class_name!r}{suggest(class_name, components)}")
+    raise _refuse(f"{dotted} is no component: derive it from cosim.python_component.PythonComponent")
+
+
+def _refuse(message: str) -> ConfigError:
+    return ConfigError([Problem(message)])
+
+
+def _siblings(module_name: str) -> list[str]:
+    """The modules that lie where this one was looked for."""
+    package = module_name.rpartition(".")[0]
+    path = getattr(sys.modules[package], "__path__", []) if package else sys.path
+    prefix = f"{package}." if package else ""
+    return [prefix + module.name for module in pkgutil.iter_modules(path)]
+
+
+def _say(error: BaseException) -> str:
+    """One line: what went wrong, and the place in the user's code."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [f for f in frames if "importlib" not in f.filename and f.filename != __file__]
+    place = f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
+    return f"{type(error).__name__}: {error}{place}"
+
+
+# --- instances ------------------------------------------------------------------------------------------------------
+class PythonInstance(Component):
+    """A live instance of a `PythonComponent`."""
+
+    def __init__(self, name: str, dotted: str, interface: Interface, description: Description) -> None:
+        self.name = name
+        self.interface = interface
+        self.description = description
+        self._model: PythonComponent = self._run(load(dotted))
+        self._model._values = {
+            v.name: np.array(v.start, _ARRAY_TYPES[v.dtype]).reshape(v.shape) for v in description.variables.values()
+        }
+        declared = _declarations(type(self._model))
+        self._states = {n: self._model.values_of(n) for n, d in declared.items() if isinstance(d, State)}
+        self.n_states = sum(state.size for state in self._states.values())
+        self._slopes = {n: np.zeros(state.shape) for n, state in self._states.items()}
+        self._time = 0.0
+        self._initialising = True
+        self._stale = True
+
+    def _run(self, method: Callable[..., Any], *arguments: Any) -> Any:
+        """Call the user's code; whatever it raises becomes a `ComponentError` that says where."""
+        try:
+            return method(*arguments)
+        except Exception as error:
+            raise ComponentError(self.name, _say(error)) from error
+
+    # --- values -----------------------------------------------------------------------------------------------------
+    def get(self, variable: Variable) -> Floats:
+        self._evaluate()
+        return self._model.values_of(variable.name).astype(np.float64).reshape(-1)
+
+    def set(self, variable: Variable, values: Floats) -> None:
+        target = self._model.values_of(variable.name)
+        converted = np.rint(values) if target.dtype.kind == "i" else values
+        target[...] = converted.reshape(target.shape)
+        self._stale = True
+
+    def start(self, variable: Variable, values: Sequence[Value]) -> None:
+        try:
+            converted = start_values(variable, values)
+        except ValueError as error:
+            raise ComponentError(self.name, f"{variable.name} {error}") from None
+        if variable.causality == "structuralParameter" and variable.start != tuple(converted):
+            raise ComponentError(self.name, f"{variable.name} must be known when the component is described")
+        target = self._model.values_of(variable.name)
+        target[...] = np.array(converted, target.dtype).reshape(target.shape)
+        self._stale = True
+
+    def _evaluate(self) -> None:
+        if self._stale:
+            if self._initialising:
+                self._run(self._model.initialise, self._time)
+            self._run(self._model.outputs, self._time)
+            self._stale = False
+
+    # --- life cycle -------------------------------------------------------------------------------------------------
+    def enter_initialization(self, start_time: float, stop_time: float) -> None:  # noqa: ARG002 - the interface's
+        self._time = start_time
+        self._stale = True
+
+    def exit_initialization(self) -> None:
+        self._evaluate()
+        self._initialising = False
+
+    def terminate(self) -> None:
+        """There is nothing to free."""
+
+    # --- Co-Simulation ----------------------------------------------------------------------------------------------
+    def step(self, time: float, step: float) -> None:
+        self._run(self._model.step, time, step)
+        self._time = time + step
+        self._stale = True
+
+    # --- Model Exchange ---------------------------------------------------------------------------------------------
+    def set_time(self, time: float) -> None:
+        self._time = time
+        self._stale = True
+
+    def get_states(self) -> Floats:
+        return _flat(self._states)
+
+    def set_states(self, states: Floats) -> None:
+        offset = 0
+        for state in self._states.values():
+            state[...] = states[offset : offset + state.size].reshape(state.shape)
+            offset += state.size
+        self._stale = True
+
+    def derivatives(self) -> Floats:
+        self._evaluate()
+        by_name = self._run(self._model.derivatives, self._time)
+        if by_name.keys() != self._slopes.keys():
+            found, wanted = ", ".join(by_name) or "nothing", ", ".join(self._slopes)
+            raise ComponentError(self.name, f"derivatives returned {found}, not {wanted}")
+        for name, slope in self._slopes.items():
+            self._run(_assign, slope, by_name[name])
+        return _flat(self._slopes)
+
+    def completed_step(self) -> bool:
+        return False
+
+    def enter_event_mode(self) -> None:
+        """Nothing to prepare: `update_discrete_states` calls `event`."""
+
+    def update_discrete_states(self) -> float | None:
+        self._evaluate()
+        self._run(self._model.event, self._time)
+        self._stale = True
+        next_event: float | None = self._run(self._model.next_event, self._time)
+        return next_event
+
+    def enter_continuous_time_mode(self) -> None:
+        """Nothing to prepare."""
+
+
+def _flat(arrays: Mapping[str, NDArray[Any]]) -> Floats:
+    return np.concatenate([np.empty(0), *(array.reshape(-1) for array in arrays.values())])
+
+
+def _assign(target: NDArray[Any], value: ArrayLike) -> None:
+    target[...] = value

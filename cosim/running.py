@@ -1,0 +1,135 @@
+"""`cosim run`: from a scenario file to a finished run folder."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import signal
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import FrameType
+
+from cosim.component import Floats
+from cosim.errors import CosimError, RunError
+from cosim.inline import Interrupted, run
+from cosim.plan import Plan
+from cosim.progress import Disagreement, Progress
+from cosim.recorder import Recorder
+from network.messages import Fates
+
+EXIT_INTERRUPTED = 130
+
+
+class StopRequest:
+    """Ctrl-C and SIGTERM ask for an orderly end at the next tick; asked twice, Python's own handling takes over."""
+
+    def __init__(self) -> None:
+        self.requested = False
+
+    def __call__(self) -> bool:
+        return self.requested
+
+    @contextmanager
+    def listening(self) -> Iterator[None]:
+        """While inside, signals set `requested`."""
+        previous = {number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, handler in previous.items():
+                signal.signal(number, handler)
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        if self.requested:
+            signal.default_int_handler(number, frame)
+        self.requested = True
+
+
+def run_folder(name: str, out: Path | None) -> Path:
+    """`out`, or a new `runs/<name>/<timestamp>` below the current folder; a second run in one second gets a number."""
+    if out is not None:
+        return out
+    stamp = time.strftime("%Y-%m-%dT%H-%M-%S")
+    candidates = (Path("runs") / name / (f"{stamp}-{i}" if i else stamp) for i in itertools.count())
+    return next(folder for folder in candidates if not folder.exists())
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run `args.config`; exit code 0, or 130 after Ctrl-C.
+
+    Raises:
+        CosimError: a mistake in the scenario, or a run that failed; what was computed until then is on disk.
+    """
+    from cosim.planning import load
+
+    planned = load(args.config, args.set or (), seed=args.seed, until=args.until)
+    for warning in planned.warnings:
+        print(warning, file=sys.stderr)
+    plan = planned.plan
+    recorder = Recorder(plan, run_folder(plan.name, args.out))
+    summary = _Summary(plan)
+    stop = StopRequest()
+    with stop.listening(), Progress(plan, quiet=args.quiet) as progress:
+        recorder.open()
+        try:
+            run(plan, [recorder, summary, progress], stop)
+        except Interrupted as interrupted:
+            reached = f"t = {interrupted.tick * plan.period:.9g} s"
+            recorder.close(f"aborted: interrupted at {reached}")
+            print(f"interrupted at {reached}; everything until then is in {recorder.folder}", file=sys.stderr)
+            return EXIT_INTERRUPTED
+        except BaseException as error:
+            _close_after(error, recorder)
+            raise
+    digest = recorder.close("complete")
+    if not args.quiet:
+        summary.show(recorder.folder, digest)
+    if args.report:
+        _draw(recorder.folder, quiet=args.quiet)
+    return 0
+
+
+def _close_after(error: BaseException, recorder: Recorder) -> None:
+    """Leave a readable run folder behind a failure."""
+    reason = str(error) if isinstance(error, CosimError) else f"{type(error).__name__}: {error}"
+    with suppress(CosimError):  # the first failure is the one to tell
+        recorder.close(f"aborted: {reason.splitlines()[0]}")
+    if isinstance(error, RunError):
+        print(f"everything until then is in {recorder.folder}", file=sys.stderr)
+
+
+class _Summary:
+    """An observer that keeps the last row, for the lines at the end."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._started = time.perf_counter()
+        self._rows: Sequence[Floats] = ()
+
+    def tick(self, tick: int, rows: Sequence[Floats]) -> None:  # noqa: ARG002
+        self._rows = rows
+
+    def fates(self, fates: Fates) -> None:
+        """Not needed."""
+
+    def show(self, folder: Path, digest: str) -> None:
+        """Say what was done, where it is, and how far the agents are from agreeing."""
+        wall = time.perf_counter() - self._started
+        simulated = self._plan.ticks * self._plan.period
+        print(f"{self._plan.name}: {simulated:g} s simulated in {wall:.2f} s ({simulated / wall:.0f} x real time)")
+        disagreement = Disagreement(self._plan).of(self._rows)
+        if disagreement is not None:
+            print(f"  disagreement at the end  {disagreement:.3g} (largest |p_1 - p_i|)")
+        print(f"  digest                   {digest}")
+        print(f"  run folder               {folder}")
+
+
+def _draw(folder: Path, *, quiet: bool) -> None:
+    from cosim.report import draw
+
+    page = draw(folder)
+    if not quiet:
+        print(f"  report                   {page}")

@@ -1,0 +1,330 @@
+"""A scenario exactly as the user writes it: which keys there are, what they hold, and what each means.
+
+These models check what can be checked without opening a component; `cosim.planning` does the rest. The JSON schema
+that `cosim schema` prints for editors is made from them.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    FiniteFloat,
+    GetJsonSchemaHandler,
+    Tag,
+    WithJsonSchema,
+    model_validator,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
+from typing_extensions import TypeAliasType
+
+from cosim.names import agent_names, scenario_name
+from network.models import AnyChannelModel
+from network.units import PositiveDuration
+
+PARAMETER_PORTS = ("count", "period")
+"""Keys of `receive` that name a parameter: set to the number of in-neighbours, and to the period in seconds."""
+MAILBOX_PORTS = (*PARAMETER_PORTS, "stamp", "time", "weight")
+"""Keys of `receive` that are no variables of the message."""
+
+
+class Spec(BaseModel):
+    """Base of every part of a scenario: no unknown keys, no silent conversions."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, validate_by_name=True, validate_by_alias=True)
+
+
+# --- names ------------------------------------------------------------------------------------------------------------
+
+
+def _check_agents(text: str) -> str:
+    list(agent_names(text))
+    return text
+
+
+def _as_text(value: Any) -> Any:
+    """A name may look like a number: `from: 1`."""
+    return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
+
+
+_NAME_SCHEMA = {"type": ["string", "integer"]}
+
+Name: TypeAlias = Annotated[str, BeforeValidator(_as_text), WithJsonSchema(_NAME_SCHEMA)]
+Agents: TypeAlias = Annotated[
+    str, BeforeValidator(_as_text), AfterValidator(_check_agents), WithJsonSchema(_NAME_SCHEMA)
+]
+
+
+def _check_reference(text: str) -> str:
+    component, dot, variable = text.partition(".")
+    if not (component.strip() and dot and variable.strip()):
+        raise ValueError(f"{text!r} is no variable of a component; write 'component.variable', such as 'plant.p'")
+    return text.strip()
+
+
+Reference: TypeAlias = Annotated[
+    str,
+    AfterValidator(_check_reference),
+    WithJsonSchema({"type": "string", "pattern": r"^\s*[^.\s][^.]*\..*\S\s*$", "examples": ["plant.p"]}),
+]
+"""`component.variable`; the variable's own name may hold dots."""
+
+
+def _check_component(text: str) -> str:
+    if not re.fullmatch(r"[^\W\d]\w*", text):
+        raise ValueError(f"{text!r} cannot name a component; use letters, digits and '_', such as 'plant'")
+    return text
+
+
+ComponentName: TypeAlias = Annotated[str, AfterValidator(_check_component)]
+
+
+# --- components -------------------------------------------------------------------------------------------------------
+
+
+def _check_scalar(value: Any) -> Any:
+    if not isinstance(value, (bool, int, float, str)):
+        raise ValueError("must be a number, true or false, or text")  # noqa: TRY004 - pydantic's
+    if isinstance(value, float) and math.isnan(value):
+        raise ValueError("'.nan' is no value to start from")
+    return value
+
+
+Scalar: TypeAlias = Annotated[
+    Any, BeforeValidator(_check_scalar), WithJsonSchema({"type": ["number", "boolean", "string"]})
+]
+
+
+class Uniform(Spec):
+    """Drawn from the seed, evenly between two bounds, one draw per element."""
+
+    uniform: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2, description="[low, high]")]
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Uniform:
+        low, high = self.uniform
+        if low > high:
+            raise ValueError(f"the lower bound {low!r} is above the upper bound {high!r}")
+        return self
+
+
+class Normal(Spec):
+    """Drawn from the seed, normally distributed, one draw per element."""
+
+    normal: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2, description="[mean, standard deviation]")]
+
+    @model_validator(mode="after")
+    def _spread(self) -> Normal:
+        if self.normal[1] < 0:
+            raise ValueError(f"the standard deviation {self.normal[1]!r} is negative")
+        return self
+
+
+def _kind_of_start(value: Any) -> str | None:
+    if isinstance(value, Uniform) or (isinstance(value, dict) and "uniform" in value):
+        return "<uniform>"
+    if isinstance(value, Normal) or (isinstance(value, dict) and "normal" in value):
+        return "<normal>"
+    if isinstance(value, list):
+        return "<list>"
+    return "<scalar>" if isinstance(value, (bool, int, float, str)) else None
+
+
+if TYPE_CHECKING:
+    StartValue: TypeAlias = Any  # mypy has no recursive alias of this kind
+else:
+    StartValue = TypeAliasType(
+        "StartValue",
+        Annotated[
+            Annotated[Scalar, Tag("<scalar>")]
+            | Annotated[Uniform, Tag("<uniform>")]
+            | Annotated[Normal, Tag("<normal>")]
+            | Annotated[list["StartValue"], Tag("<list>")],
+            Discriminator(
+                _kind_of_start,
+                custom_error_type="start_value",
+                custom_error_message="a start value is a number, true or false, text, a list of these, "
+                "{uniform: [low, high]} or {normal: [mean, standard deviation]}",
+            ),
+        ],
+    )
+
+
+class ComponentSpec(Spec):
+    """One component of an agent: an FMU or a Python class."""
+
+    fmu: str | None = Field(
+        None,
+        description="A shipped FMU by name (TwoLinkArm, TwoLinkArm.fmi2, TwoLinkArm.fmi3), or a file: anything that "
+        "ends in .fmu or holds a '/', relative to this file.",
+    )
+    python: str | None = Field(None, description="A Python class that is a component: package.module:Class.")
+    start: dict[str, StartValue] = Field(
+        {}, description="Start values and parameters by variable; one value fills a whole array."
+    )
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> ComponentSpec:
+        if self.fmu is not None and self.python is not None:
+            raise ValueError("give either 'fmu' or 'python', not both")
+        return self
+
+
+# --- agents -----------------------------------------------------------------------------------------------------------
+
+
+class CouplingSpec(Spec):
+    """How the components of an agent are stepped together between two ticks."""
+
+    method: Literal["auto", "joint", "midpoint", "gauss-seidel", "jacobi"] = Field(
+        "auto",
+        description="auto: joint where every component offers Model Exchange without event indicators, else midpoint. "
+        "joint: one integrator for all states. midpoint, gauss-seidel, jacobi: Co-Simulation.",
+    )
+    step: PositiveDuration | None = Field(
+        None, description="Micro step; it divides the period. By default 5 ms for joint and 1 ms otherwise."
+    )
+    integrator: Literal["rk4", "dormand-prince"] = Field(
+        "rk4", description="For joint; dormand-prince adapts its step."
+    )
+    relative_tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(1e-8, description="For dormand-prince.")
+    absolute_tolerance: Annotated[float, Field(gt=0, lt=math.inf)] = Field(1e-10, description="For dormand-prince.")
+    loop: Literal["native", "python"] | None = Field(
+        None, description="Who runs the micro steps: compiled code (default where all components are FMUs) or Python."
+    )
+
+
+def _parse_connection(value: Any) -> Any:
+    if not isinstance(value, str):
+        raise ValueError("a connection is written 'component.output -> component.input'")  # noqa: TRY004 - pydantic's
+    source, arrow, target = (part.strip() for part in value.partition("->"))
+    if not arrow or not target or "->" in target:
+        raise ValueError(f"{value!r} is no connection; write 'component.output -> component.input'")
+    return (_check_reference(source), _check_reference(target))
+
+
+ConnectionSpec: TypeAlias = Annotated[
+    tuple[str, str],
+    BeforeValidator(_parse_connection),
+    WithJsonSchema(
+        {"type": "string", "pattern": r"^\s*[^.\s]+\.\S.*->\s*[^.\s]+\.\S", "examples": ["plant.p -> controller.p"]}
+    ),
+]
+
+
+class AgentSpec(Spec):
+    """One agent, or several alike; also a template, and an entry that changes only some of it."""
+
+    template: Name | None = Field(None, description="Name of the template that this agent starts from.")
+    components: dict[ComponentName, ComponentSpec] = {}
+    connections: list[ConnectionSpec] = Field([], description="Outputs that feed inputs of the same size.")
+    publish: dict[str, Reference] = Field(
+        {}, description="The message: its variables, and the output that each is read from at every tick."
+    )
+    receive: dict[str, Reference] = Field(
+        {},
+        description="Where the newest messages go, one row per in-neighbour: each variable of the message, and their "
+        "stamp, time and weight; count and period name parameters that are set to |N_i| and T.",
+    )
+    record: list[Reference] | None = Field(None, description="What is recorded at every tick; every output by default.")
+    coupling: CouplingSpec = CouplingSpec()
+
+
+# --- network ----------------------------------------------------------------------------------------------------------
+
+
+class _OrText:
+    """In the JSON schema: or a text of a certain form."""
+
+    def __init__(self, pattern: str, example: str) -> None:
+        self._text = {"type": "string", "pattern": pattern, "examples": [example]}
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return {"anyOf": [self._text, handler(schema)]}
+
+
+class EdgeSpec(Spec):
+    """Directed: the agents `to` can hear the agents `from`."""
+
+    from_: Agents = Field(alias="from", description="Who sends: an agent, a range or a list.")
+    to: Agents = Field(description="Who hears: an agent, a range or a list.")
+    weight: Annotated[float, Field(gt=0, lt=math.inf)] | None = Field(None, description="a_ij; needs 'weights: given'.")
+    channel: Name | None = Field(None, description="Name of a profile in 'channels'.")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_text(cls, value: Any) -> Any:
+        if not isinstance(value, str):
+            return value
+        sender, arrow, receiver = (part.strip() for part in value.partition("->"))
+        if not arrow or "->" in receiver:
+            raise ValueError(f"{value!r} is no edge; write '4 -> 1' for: 1 can hear 4")
+        return {"from": _check_agents(sender), "to": _check_agents(receiver)}
+
+
+class GraphSpec(Spec):
+    """Who can hear whom."""
+
+    weights: Literal["equal", "given"] = Field(
+        "equal", description="equal: a_ij = 1 / number of in-neighbours of i. given: every edge has its weight."
+    )
+    channel: Name | None = Field(None, description="Profile of every edge that names none.")
+    edges: list[Annotated[EdgeSpec, _OrText("->", "4 -> 1")]] = []
+
+
+# --- analysis ---------------------------------------------------------------------------------------------------------
+
+
+class AnalysisSpec(Spec):
+    """What the report and `cosim check` call position, velocity and so on; none of it changes a run."""
+
+    position: Reference | None = None
+    velocity: Reference | None = None
+    estimate: Reference | None = Field(None, description="Each agent's estimate of the common velocity.")
+    parameters: Reference | None = Field(None, description="Each agent's estimate of its physical parameters.")
+    reference_velocity: Annotated[list[FiniteFloat], Field(min_length=1)] | None = None
+    leaders: dict[Reference, Scalar] = Field(
+        {}, description="The agents with these start values are the leaders: {controller.role: leader}."
+    )
+    k_eta: Reference | None = Field(None, description="The parameter k_eta of the paper's synchronization term.")
+    lambda_: Reference | None = Field(
+        None, alias="lambda", description="The parameter lambda of the paper's synchronization term."
+    )
+
+
+# --- the whole --------------------------------------------------------------------------------------------------------
+
+
+class ScenarioSpec(Spec):
+    """A scenario: agents, who hears whom, and what the network does to every message."""
+
+    name: Annotated[str, AfterValidator(scenario_name)] | None = Field(
+        None, description="The file's name by default; runs are written to runs/<name>/."
+    )
+    title: str = ""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(0, description="Of every random draw.")
+    period: PositiveDuration = Field(description='T: the time between two ticks, such as "100 ms".')
+    duration: PositiveDuration = Field(description="Simulated time, a multiple of the period.")
+    templates: dict[str, AgentSpec] = {}
+    agents: Annotated[dict[Agents, AgentSpec], Field(min_length=1)] = Field(
+        description="Agents by name, range ('1..10') or list ('1, 4'); later entries are merged over earlier ones."
+    )
+    coupling: CouplingSpec = Field(CouplingSpec(), description="For every agent that does not say otherwise.")
+    graph: GraphSpec = GraphSpec()
+    channels: dict[str, AnyChannelModel] = Field({}, description="Profiles: what the network does to a message.")
+    analysis: AnalysisSpec = AnalysisSpec()
+
+
+def json_schema() -> dict[str, Any]:
+    """The JSON schema (draft 2020-12) of a scenario, for editors."""
+    schema = ScenarioSpec.model_json_schema(by_alias=True)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "netcosim scenario"}

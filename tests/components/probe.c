@@ -1,0 +1,325 @@
+/* An FMU for tests: echoes inputs of every type, has one state with time and state events, and fails on request.
+ *
+ * One binary serves FMI 2.0 and 3.0. Functions that are not here come from generated stubs that return Error. Every value
+ * is kept as a double in a slot: inputs have slots 10 to 21 and their echoes are read 20 higher.
+ */
+#include <math.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "fmi2Functions.h"
+#include "fmi3Functions.h"
+
+enum { OK, DISCARD = 2, ERROR = 3, FATAL = 4 };
+enum { TIME = 0, FAILS = 1, N = 3, VECTOR = 10, STATE = 50, RATE = 51, EVENTS = 52, INSTANCES = 53, N_SLOTS = 64 };
+
+/* Values of the parameter `fails`. */
+enum {
+    STEP_DISCARDS = 1,
+    STEP_ERROR,
+    STEP_FATAL,
+    STEP_STOPS,
+    STEP_EARLY,
+    NEVER_SETTLES,
+    OUTPUT_NAN,
+    STATE_GROWS,
+    UPDATE_STOPS,
+    COMPLETED_STOPS,
+    DERIVATIVE_ERROR,
+    COMPLETED_ERROR,
+    UPDATE_ERROR,
+    NEVER_CONVERGES,
+    DERIVATIVE_NAN,
+    DERIVATIVE_JUMPS,
+};
+
+typedef struct {
+    double slots[N_SLOTS];
+    double vector[8];
+    char label[64];
+    bool structural_mode, fmi3;
+    double next_event;
+    int updates;
+    void *environment;
+    fmi3LogMessageCallback log3;
+    const fmi2CallbackFunctions *callbacks2;
+} Probe;
+
+static int instances = 0; /* shared by all instances of one loaded library */
+
+static int failed(Probe *p, int status) {
+    char text[128];
+    snprintf(text, sizeof text, "%s gives up at t = %g", p->label, p->slots[TIME]);
+    if (p->fmi3 && p->log3) p->log3(p->environment, (fmi3Status)status, "logStatusError", text);
+    if (!p->fmi3)
+        p->callbacks2->logger(p->callbacks2->componentEnvironment, "probe", (fmi2Status)status, "logStatusError",
+                              "%s gives up at t = %g", p->label, p->slots[TIME]);
+    return status;
+}
+
+static int mode(const Probe *p) { return (int)p->slots[FAILS]; }
+
+static Probe *create(bool fmi3) {
+    Probe *p = calloc(1, sizeof *p);
+    strcpy(p->label, "probe");
+    p->fmi3 = fmi3;
+    p->slots[N] = 2;
+    p->slots[STATE] = 1.0;
+    p->slots[21] = 1.0;
+    p->next_event = 0.03;
+    p->slots[INSTANCES] = ++instances;
+    return p;
+}
+
+static double *slot(Probe *p, unsigned reference, size_t element) {
+    if (reference == VECTOR || reference == VECTOR + 20) return &p->vector[element];
+    if (reference >= 100 && reference < 104) return &p->vector[(reference - 100) % 2]; /* FMI 2.0: one by one */
+    if (reference >= 30 && reference < 42) return &p->slots[reference - 20];
+    return &p->slots[reference];
+}
+
+static size_t size_of(const Probe *p, unsigned reference) {
+    return reference == VECTOR || reference == VECTOR + 20 ? (size_t)p->slots[N] : 1;
+}
+
+static double rate(const Probe *p) {
+    if (mode(p) == STATE_GROWS) return p->slots[STATE] * p->slots[STATE] * p->slots[STATE];
+    if (mode(p) == DERIVATIVE_NAN) return p->slots[TIME] > 0.05 ? NAN : 0.0;
+    if (mode(p) == DERIVATIVE_JUMPS) return p->slots[TIME] > 0.05 ? 1e30 : 0.0;
+    return 10.0 + p->vector[0];
+}
+
+static double read(Probe *p, unsigned reference, size_t element) {
+    if (reference == RATE) return rate(p);
+    if (mode(p) == OUTPUT_NAN && reference == 31 && p->slots[TIME] > 0.01) return NAN;
+    if (mode(p) == NEVER_CONVERGES && reference == 31) return p->slots[EVENTS];
+    return *slot(p, reference, element);
+}
+
+static int update(Probe *p, bool *again, bool *stop, double *next_event) {
+    while (p->next_event <= p->slots[TIME] + 1e-12) p->next_event += 0.03;
+    if (p->slots[STATE] > 2.0) p->slots[STATE] -= 1.0;
+    p->slots[EVENTS] += 1.0;
+    *again = mode(p) == NEVER_SETTLES && p->slots[TIME] > 0.0;
+    *stop = mode(p) == UPDATE_STOPS && p->slots[TIME] > 0.0;
+    *next_event = p->next_event;
+    return mode(p) == UPDATE_ERROR && p->slots[TIME] > 0.0 ? failed(p, ERROR) : OK;
+}
+
+static int completed(Probe *p, bool *event, bool *stop) {
+    *event = p->slots[STATE] > 2.0;
+    *stop = mode(p) == COMPLETED_STOPS;
+    return mode(p) == COMPLETED_ERROR ? failed(p, ERROR) : OK;
+}
+
+static int step(Probe *p, double time, double length) {
+    p->slots[TIME] = time;
+    if (mode(p) == STEP_DISCARDS) return failed(p, DISCARD);
+    if (mode(p) == STEP_ERROR) return failed(p, ERROR);
+    if (mode(p) == STEP_FATAL) return failed(p, FATAL);
+    p->slots[TIME] = time + length;
+    p->slots[STATE] += length * rate(p);
+    return OK;
+}
+
+/* --- FMI 3.0 ---------------------------------------------------------------------------------------------------- */
+#define PROBE(instance) ((Probe *)(instance))
+
+fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
+                                          fmi3Boolean logging, fmi3InstanceEnvironment environment,
+                                          fmi3LogMessageCallback log) {
+    (void)name, (void)resources, (void)visible, (void)logging;
+    if (strcmp(token, "probe") != 0) {
+        log(environment, fmi3Error, "logStatusError", "wrong token");
+        return NULL;
+    }
+    Probe *p = create(true);
+    p->environment = environment;
+    p->log3 = log;
+    return p;
+}
+
+fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
+                                         fmi3Boolean logging, fmi3Boolean event_mode, fmi3Boolean early,
+                                         const fmi3ValueReference required[], size_t n,
+                                         fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
+                                         fmi3IntermediateUpdateCallback intermediate) {
+    (void)event_mode, (void)early, (void)required, (void)n, (void)intermediate;
+    return fmi3InstantiateModelExchange(name, token, resources, visible, logging, environment, log);
+}
+
+void fmi3FreeInstance(fmi3Instance i) { free(i); }
+
+fmi3Status fmi3EnterConfigurationMode(fmi3Instance i) {
+    PROBE(i)->structural_mode = true;
+    return fmi3OK;
+}
+fmi3Status fmi3ExitConfigurationMode(fmi3Instance i) {
+    PROBE(i)->structural_mode = false;
+    return fmi3OK;
+}
+fmi3Status fmi3EnterInitializationMode(fmi3Instance i, fmi3Boolean defined, fmi3Float64 tolerance, fmi3Float64 start,
+                                       fmi3Boolean stop_defined, fmi3Float64 stop) {
+    (void)defined, (void)tolerance, (void)stop_defined, (void)stop;
+    PROBE(i)->slots[TIME] = start;
+    return fmi3OK;
+}
+fmi3Status fmi3ExitInitializationMode(fmi3Instance i) { return i ? fmi3OK : fmi3Error; }
+fmi3Status fmi3EnterEventMode(fmi3Instance i) { return i ? fmi3OK : fmi3Error; }
+fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance i) { return i ? fmi3OK : fmi3Error; }
+fmi3Status fmi3Terminate(fmi3Instance i) { return i ? fmi3OK : fmi3Error; }
+
+#define ACCESS3(Name)                                                                                              \
+    fmi3Status fmi3Get##Name(fmi3Instance i, const fmi3ValueReference vr[], size_t n, fmi3##Name values[],         \
+                             size_t n_values) {                                                                    \
+        (void)n_values;                                                                                            \
+        for (size_t j = 0; j < n; j++)                                                                             \
+            for (size_t e = 0; e < size_of(i, vr[j]); e++) *values++ = (fmi3##Name)read(i, vr[j], e);              \
+        return fmi3OK;                                                                                             \
+    }                                                                                                              \
+    fmi3Status fmi3Set##Name(fmi3Instance i, const fmi3ValueReference vr[], size_t n, const fmi3##Name values[],   \
+                             size_t n_values) {                                                                    \
+        (void)n_values;                                                                                            \
+        for (size_t j = 0; j < n; j++) {                                                                           \
+            if (vr[j] == N && !PROBE(i)->structural_mode) return (fmi3Status)failed(i, ERROR);                     \
+            for (size_t e = 0; e < size_of(i, vr[j]); e++) *slot(i, vr[j], e) = (double)*values++;                 \
+        }                                                                                                          \
+        return fmi3OK;                                                                                             \
+    }
+
+ACCESS3(Float64)
+ACCESS3(Float32)
+ACCESS3(Int8)
+ACCESS3(UInt8)
+ACCESS3(Int16)
+ACCESS3(UInt16)
+ACCESS3(Int32)
+ACCESS3(UInt32)
+ACCESS3(Int64)
+ACCESS3(UInt64)
+ACCESS3(Boolean)
+
+fmi3Status fmi3SetString(fmi3Instance i, const fmi3ValueReference vr[], size_t n, const fmi3String values[],
+                         size_t n_values) {
+    (void)vr, (void)n, (void)n_values;
+    snprintf(PROBE(i)->label, sizeof PROBE(i)->label, "%s", values[0]);
+    return fmi3OK;
+}
+
+fmi3Status fmi3SetTime(fmi3Instance i, fmi3Float64 time) {
+    PROBE(i)->slots[TIME] = time;
+    return fmi3OK;
+}
+fmi3Status fmi3SetContinuousStates(fmi3Instance i, const fmi3Float64 x[], size_t n) {
+    if (n) PROBE(i)->slots[STATE] = x[0];
+    return fmi3OK;
+}
+fmi3Status fmi3GetContinuousStates(fmi3Instance i, fmi3Float64 x[], size_t n) {
+    if (n) x[0] = PROBE(i)->slots[STATE];
+    return fmi3OK;
+}
+fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance i, fmi3Float64 dx[], size_t n) {
+    if (mode(i) == DERIVATIVE_ERROR) return (fmi3Status)failed(i, ERROR);
+    if (n) dx[0] = rate(i);
+    return fmi3OK;
+}
+fmi3Status fmi3CompletedIntegratorStep(fmi3Instance i, fmi3Boolean final, fmi3Boolean *event, fmi3Boolean *stop) {
+    (void)final;
+    return (fmi3Status)completed(i, event, stop);
+}
+fmi3Status fmi3UpdateDiscreteStates(fmi3Instance i, fmi3Boolean *again, fmi3Boolean *stop, fmi3Boolean *nominals,
+                                    fmi3Boolean *states, fmi3Boolean *defined, fmi3Float64 *next_event) {
+    *nominals = false, *states = true, *defined = true;
+    return (fmi3Status)update(i, again, stop, next_event);
+}
+fmi3Status fmi3DoStep(fmi3Instance i, fmi3Float64 time, fmi3Float64 length, fmi3Boolean final, fmi3Boolean *event,
+                      fmi3Boolean *stop, fmi3Boolean *early, fmi3Float64 *reached) {
+    (void)final;
+    *event = false, *stop = mode(i) == STEP_STOPS, *early = mode(i) == STEP_EARLY, *reached = time + 0.25 * length;
+    return (fmi3Status)step(i, time, length);
+}
+
+/* --- FMI 2.0 ---------------------------------------------------------------------------------------------------- */
+fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String token, fmi2String resources,
+                              const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging) {
+    (void)name, (void)type, (void)resources, (void)visible, (void)logging;
+    if (strcmp(token, "probe") != 0) {
+        callbacks->logger(callbacks->componentEnvironment, name, fmi2Error, "logStatusError", "wrong %s", "token");
+        return NULL;
+    }
+    Probe *p = create(false);
+    p->callbacks2 = callbacks;
+    return p;
+}
+void fmi2FreeInstance(fmi2Component c) { free(c); }
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean defined, fmi2Real tolerance, fmi2Real start,
+                               fmi2Boolean stop_defined, fmi2Real stop) {
+    (void)defined, (void)tolerance, (void)stop_defined, (void)stop;
+    PROBE(c)->slots[TIME] = start;
+    return fmi2OK;
+}
+fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return c ? fmi2OK : fmi2Error; }
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return c ? fmi2OK : fmi2Error; }
+fmi2Status fmi2EnterEventMode(fmi2Component c) { return c ? fmi2OK : fmi2Error; }
+fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { return c ? fmi2OK : fmi2Error; }
+fmi2Status fmi2Terminate(fmi2Component c) { return c ? fmi2OK : fmi2Error; }
+
+#define ACCESS2(Name)                                                                                           \
+    fmi2Status fmi2Get##Name(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2##Name values[]) {   \
+        for (size_t j = 0; j < n; j++) values[j] = (fmi2##Name)read(c, vr[j], 0);                               \
+        return fmi2OK;                                                                                          \
+    }                                                                                                           \
+    fmi2Status fmi2Set##Name(fmi2Component c, const fmi2ValueReference vr[], size_t n,                          \
+                             const fmi2##Name values[]) {                                                       \
+        for (size_t j = 0; j < n; j++) *slot(c, vr[j], 0) = (double)values[j];                                  \
+        return fmi2OK;                                                                                          \
+    }
+
+ACCESS2(Real)
+ACCESS2(Integer)
+ACCESS2(Boolean)
+
+fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2String values[]) {
+    (void)vr, (void)n;
+    snprintf(PROBE(c)->label, sizeof PROBE(c)->label, "%s", values[0]);
+    return fmi2OK;
+}
+fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
+    PROBE(c)->slots[TIME] = time;
+    return fmi2OK;
+}
+fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n) {
+    return (fmi2Status)fmi3SetContinuousStates(c, x, n);
+}
+fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t n) {
+    return (fmi2Status)fmi3GetContinuousStates(c, x, n);
+}
+fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real dx[], size_t n) {
+    return (fmi2Status)fmi3GetContinuousStateDerivatives(c, dx, n);
+}
+fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean final, fmi2Boolean *event, fmi2Boolean *stop) {
+    bool wants_event, wants_stop;
+    (void)final;
+    int status = completed(c, &wants_event, &wants_stop);
+    *event = wants_event, *stop = wants_stop;
+    return (fmi2Status)status;
+}
+fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
+    bool again, stop;
+    int status = update(c, &again, &stop, &info->nextEventTime);
+    info->newDiscreteStatesNeeded = again, info->terminateSimulation = stop, info->nextEventTimeDefined = fmi2True;
+    return (fmi2Status)status;
+}
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real length, fmi2Boolean final) {
+    (void)final;
+    return (fmi2Status)step(c, time, length);
+}
+fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
+    (void)kind;
+    *value = PROBE(c)->slots[TIME];
+    return fmi2OK;
+}

@@ -1,0 +1,285 @@
+"""From names to indices, from distributions to numbers: what a scenario is planned as."""
+
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.errors import Severity
+from cosim.plan import AgentPlan, Integrator, Loop, Method, Plan
+from cosim.planning import load
+from tests.config.scenarios import BASE, changed, planned
+
+
+def plan_of(folder: Path, text: str = BASE, *settings: str) -> Plan:
+    return planned(folder, text, *settings).plan
+
+
+def start(plan: Plan, agent: str, component: str, variable: str) -> tuple[Any, ...]:
+    (found,) = (
+        part for each in plan.agents if each.name == agent for part in each.components if part.name == component
+    )
+    return found.start[variable]
+
+
+def agent(plan: Plan, name: str) -> AgentPlan:
+    return next(each for each in plan.agents if each.name == name)
+
+
+def assert_equal(one: Any, other: Any, where: str = "plan") -> None:
+    """Two plans, to the last bit."""
+    assert type(one) is type(other), where
+    if isinstance(one, np.ndarray):
+        assert np.array_equal(one, other), where
+    elif is_dataclass(one) and not isinstance(one, type):
+        for field in fields(one):
+            assert_equal(getattr(one, field.name), getattr(other, field.name), f"{where}.{field.name}")
+    elif isinstance(one, (tuple, list)):
+        assert len(one) == len(other), where
+        for i, pair in enumerate(zip(one, other, strict=True)):
+            assert_equal(*pair, f"{where}[{i}]")
+    else:
+        assert one == other, where
+
+
+def test_the_whole(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path)
+    assert (plan.name, plan.seed, plan.period_ns, plan.ticks) == ("net", 3, 100_000_000, 10)
+    assert (plan.layout.names, plan.layout.sizes) == (("p", "v_hat"), (2, 2))
+    assert [each.name for each in plan.agents] == ["1", "2", "3"]
+    assert [each.index for each in plan.agents] == [0, 1, 2]
+    assert plan.links.agents == ("1", "2", "3")
+    edges = list(zip(plan.links.sender.tolist(), plan.links.receiver.tolist(), plan.links.slot.tolist(), strict=True))
+    assert edges == [
+        (1, 0, 0),
+        (2, 0, 1),
+        (0, 1, 0),
+        (1, 2, 0),
+    ]  # by receiver, then by sender, whatever the file's order
+    assert plan.weights == (0.5, 0.5, 1.0, 1.0)
+    assert plan.link_channel == ("fast",) * 4
+    assert plan.analysis.leaders == ("2",)
+    assert plan.analysis.k_eta == dict.fromkeys("123", 7.211102550927978)
+    assert plan.analysis.lambda_ == dict.fromkeys("123", 13.0)
+
+
+def test_an_agent(tmp_path: Path) -> None:
+    first = agent(plan_of(tmp_path), "1")
+    ports = {name: port.variable for name, port in first.mailbox.values.items()}
+    assert first.neighbours == (1, 2)
+    assert [port.variable.name for port in first.publish] == ["p", "v_hat"]
+    assert {name: variable.shape for name, variable in ports.items()} == {"p": (2, 2), "v_hat": (2, 2)}
+    assert first.mailbox.stamp is not None
+    assert first.mailbox.stamp.variable.shape == (2,)
+    assert [name for name, _ in first.record] == ["plant.p", "plant.v"]
+    assert first.coupling.method is Method.JOINT
+    assert (first.coupling.step_ns, first.coupling.integrator) == (5_000_000, Integrator.RK4)
+    assert first.coupling.loop is Loop.NATIVE
+    controller = first.components[1]
+    assert controller.start == {"n_neighbours": (2,), "T": (0.1,), "role": ("follower",)}
+    assert controller.path is not None
+    assert controller.path.name == "ArmSyncController.fmi3.fmu"
+
+
+def test_the_period_reaches_the_controller(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, BASE, "period=0.05 s")
+    assert start(plan, "1", "controller", "T") == (0.05,)
+
+
+def test_fmi_2_uses_the_first_rows(tmp_path: Path) -> None:
+    first = agent(plan_of(tmp_path, BASE, "templates.arm.components.controller.fmu=ArmSyncController.fmi2"), "1")
+    p = first.mailbox.values["p"].variable
+    declared = first.components[1].description.variables["neighbour_p"]
+    assert (p.shape, declared.shape) == ((2, 2), (16, 2))
+    assert p.references == declared.references[:4]
+    assert first.components[1].start["n_neighbours"] == (2,)
+
+
+def test_an_agent_that_hears_nobody_has_no_mailbox(tmp_path: Path) -> None:
+    first = agent(plan_of(tmp_path, changed(("- 3 -> 1\n    - 2 -> 1", "- 3 -> 2"))), "1")
+    assert first.neighbours == ()
+    assert not first.mailbox.values
+    assert first.mailbox.stamp is None
+    assert first.components[1].start["n_neighbours"] == (0,)
+
+
+def test_an_agent_that_nobody_hears_publishes_nothing(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, changed(("    - 3 -> 1\n", "")))
+    assert agent(plan, "3").publish == ()
+    assert len(agent(plan, "2").publish) == 2
+
+
+def test_by_default_every_output_is_recorded(tmp_path: Path) -> None:
+    first = agent(plan_of(tmp_path, changed(("    record: [plant.p, plant.v]\n", ""))), "1")
+    assert [name for name, _ in first.record] == ["plant.p", "plant.v", "controller.u", "controller.v_hat"]
+
+
+def test_weights_that_are_given(tmp_path: Path) -> None:
+    text = BASE
+    for edge, weight in (("1 -> 2", 1), ("2 -> 3", 2), ("3 -> 1", 0.25), ("2 -> 1", 0.5)):
+        sender, _, receiver = edge.partition(" -> ")
+        text = changed((f"- {edge}\n", f"- {{from: {sender}, to: {receiver}, weight: {weight}}}\n"), text=text)
+    plan = plan_of(tmp_path, changed(("channel: fast", "channel: fast\n  weights: given"), text=text))
+    assert plan.weights == (0.5, 0.25, 1.0, 2.0)
+
+
+def test_channels_per_edge(tmp_path: Path) -> None:
+    text = changed(
+        ("- 2 -> 1", "- {from: 2, to: 1, channel: slow}"), ("  fast:", "  slow: {model: delay, delay: 1 s}\n  fast:")
+    )
+    plan = plan_of(tmp_path, text)
+    assert plan.link_channel == ("slow", "fast", "fast", "fast")
+    assert set(plan.channels) == {"slow", "fast"}
+
+
+def test_ranges_in_edges_leave_out_the_agent_itself(tmp_path: Path) -> None:
+    text = changed(("    - 1 -> 2\n    - 2 -> 3\n    - 3 -> 1\n    - 2 -> 1\n", "    - 1..3 -> 1..3\n"))
+    assert [each.neighbours for each in plan_of(tmp_path, text).agents] == [(1, 2), (0, 2), (0, 1)]
+
+
+def test_later_entries_and_overrides_win(tmp_path: Path) -> None:
+    text = changed(("  2: {components", "  1..2, 3: {coupling: {step: 1 ms}}\n  2: {components"))
+    plan = plan_of(tmp_path, text, "agents.2.coupling.step=2 ms", "agents.3.components.controller.start.role=leader")
+    assert [each.coupling.step_ns for each in plan.agents] == [1_000_000, 2_000_000, 1_000_000]
+    assert plan.analysis.leaders == ("2", "3")
+
+
+def test_paths_are_relative_to_the_file_and_on_the_command_line_to_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import fmus
+
+    here, there = tmp_path / "here", tmp_path / "there"
+    for folder in (here, there):
+        folder.mkdir()
+        (folder / "arm.fmu").write_bytes(fmus.path("TwoLinkArm").read_bytes())
+    monkeypatch.chdir(here)
+    plan = plan_of(there, changed(("fmu: TwoLinkArm\n", "fmu: arm.fmu\n")))
+    assert plan.agents[0].components[0].path == there / "arm.fmu"
+    plan = plan_of(there, BASE, "templates.arm.components.plant.fmu=./arm.fmu")
+    assert plan.agents[0].components[0].path == here / "arm.fmu"
+
+
+# --- draws ------------------------------------------------------------------------------------------------------------
+
+
+def test_draws_depend_on_the_seed_and_the_agent_alone(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path)
+    more = plan_of(tmp_path, changed(("  1..3: {template: arm}", "  hub: {template: arm}\n  1..30: {template: arm}")))
+    other = plan_of(tmp_path, BASE, "seed=4")
+    for name in "123":
+        assert start(plan, name, "plant", "p") == start(more, name, "plant", "p")
+        assert start(plan, name, "plant", "p") != start(other, name, "plant", "p")
+    assert len({start(more, each.name, "plant", "p") for each in more.agents}) == 31
+
+
+def test_distributions_per_element(tmp_path: Path) -> None:
+    text = changed(("{uniform: [-1, 1]}", "[{uniform: [2, 3]}, 7]"), ("v: 0}", "v: {normal: [5, 0.001]}}"))
+    plan = plan_of(tmp_path, text)
+    one, two = start(plan, "1", "plant", "p")
+    assert 2 <= one < 3
+    assert two == 7.0
+    assert all(abs(value - 5) < 0.01 and value != 5 for value in start(plan, "1", "plant", "v"))
+    whole = plan_of(tmp_path, changed(("{uniform: [-1, 1]}", "{uniform: [2, 3]}")))
+    assert start(whole, "1", "plant", "p")[0] == one  # an element's draw does not depend on its neighbours
+
+
+# --- the resolved scenario --------------------------------------------------------------------------------------------
+
+VARIANTS = {
+    "as it is": (BASE, ()),
+    "FMI 2.0": (BASE, ("templates.arm.components.controller.fmu=ArmSyncController.fmi2",)),
+    "midpoint": (BASE, ("coupling={method: midpoint, step: 2.5 ms}",)),
+    "two couplings": (
+        BASE,
+        ("agents.2.coupling={integrator: dormand-prince, absolute_tolerance: 1.0e-7, step: 30 ms}",),
+    ),
+    "drawn velocities": (BASE, ("templates.arm.components.plant.start.v={normal: [0, 0.1]}", "seed=11")),
+    "a name with quotes": (BASE, ("title=\"it's: 'x' #1\"", "name=a.b-c")),
+    "channels": (
+        changed(
+            ("- 2 -> 1", "- {from: 2, to: 1, channel: slow}"),
+            ("  fast:", "  slow: {model: delay, delay: [1 ms, 2 s], loss: 3 %}\n  fast:"),
+        ),
+        (),
+    ),
+    "nothing recorded": (changed(("[plant.p, plant.v]", "[]"), ("  position: plant.p\n  velocity: plant.v\n", "")), ()),
+}
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_the_resolved_scenario_is_the_same_plan(tmp_path: Path, variant: str) -> None:
+    text, settings = VARIANTS[variant]
+    plan = plan_of(tmp_path, text, *settings)
+    again = tmp_path / "again"
+    again.mkdir()
+    result = planned(again, plan.scenario)
+    assert_equal(plan, result.plan)
+    assert [str(warning) for warning in result.warnings] == []
+
+
+@pytest.mark.parametrize("name", ["paper_leaders", "paper_leaderless", "paper_known_velocity", "channel_sine"])
+def test_the_resolved_shipped_scenarios_are_the_same_plan(tmp_path: Path, name: str) -> None:
+    plan = load(name, seed=5, until="2 s").plan
+    (tmp_path / "resolved.yaml").write_text(plan.scenario, encoding="utf-8")
+    assert_equal(plan, load(str(tmp_path / "resolved.yaml")).plan)
+
+
+def test_the_resolved_scenario_names_files_absolutely(tmp_path: Path) -> None:
+    import fmus
+
+    (tmp_path / "arm.fmu").write_bytes(fmus.path("TwoLinkArm").read_bytes())
+    plan = plan_of(tmp_path, changed(("fmu: TwoLinkArm\n", "fmu: ./arm.fmu\n")))
+    assert f"fmu: {tmp_path / 'arm.fmu'}\n" in plan.scenario
+    assert "fmu: ArmSyncController" in plan.scenario
+
+
+# --- warnings ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentences"),
+    [
+        ([], []),
+        (
+            [("    - 1 -> 2\n    - 2 -> 3\n    - 3 -> 1\n    - 2 -> 1\n", "    - 1 -> 3\n    - 2 -> 3\n")],
+            [
+                "the graph has no root: agents 1, 2 cannot reach each other, so that a common position",
+                "nobody hears agent 3",
+            ],
+        ),
+        ([("    - 1 -> 2\n", "")], ["nobody hears agent 1"]),  # the leader is the root
+        (
+            [("    - 2 -> 3\n", ""), ("    - 2 -> 1\n", "")],
+            ["no leader reaches every agent: from '2' nothing reaches agents 1, 3", "nobody hears agent 2"],
+        ),
+        ([("agents:\n", "  spare: {}\nagents:\n")], ["no agent uses the template 'spare'"]),
+        ([("  fast:", "  slow: {model: ideal}\n  fast:")], ["no edge uses the channel 'slow'"]),
+        (
+            [("      weight: controller.weight\n", "")],
+            ["'controller.weight' is not connected and keeps its start value"],
+        ),
+        ([("      weight: controller.weight\n", ""), ("role: follower", "role: follower, weight: 1")], []),
+        (
+            [("- plant.p -> controller.p\n      - plant.v -> controller.v\n      ", "")],
+            ["'controller.p', 'controller.v' are not connected and keep their start values"],
+        ),
+    ],
+)
+def test_warnings(tmp_path: Path, changes: list[tuple[str, str]], sentences: list[str]) -> None:
+    warnings = planned(tmp_path, changed(*changes)).warnings
+    assert all(warning.severity is Severity.WARNING and warning.where for warning in warnings)
+    assert len(warnings) == len(sentences), [str(warning) for warning in warnings]
+    for warning, sentence in zip(sorted(w.message for w in warnings), sorted(sentences), strict=True):
+        assert sentence in warning
+
+
+def test_an_agent_without_receive_is_deaf(tmp_path: Path) -> None:
+    text = changed(
+        ("coupling:", "  4: {components: {plant: {fmu: TwoLinkArm, start: {u: 0}}}}\ncoupling:"),
+        ("- 2 -> 1", "- 2 -> 1\n    - 2 -> 4"),
+    )
+    (warning,) = planned(tmp_path, text).warnings
+    assert warning.message == "agent '4' has no 'receive', so what it hears has no effect"
