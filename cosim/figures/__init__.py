@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from cosim.figures.age import age
-from cosim.figures.channel import channel
-from cosim.figures.disagreement import disagreement
-from cosim.figures.graph import graph
+from cosim.figures.age import draw_age
+from cosim.figures.channel import draw_channel
+from cosim.figures.disagreement import draw_disagreement
+from cosim.figures.graph import draw_graph
 from cosim.figures.scene import NotDrawn, Scene
 from cosim.figures.signals import parameter_estimates, relative_positions, relative_velocities, velocity_estimates
 
@@ -31,13 +31,13 @@ class Entry:
 
 
 FIGURES = (
-    Entry("graph", "Interconnection graph", graph),
-    Entry("channel", "Input and output of a communication channel", channel),
+    Entry("graph", "Interconnection graph", draw_graph),
+    Entry("channel", "Input and output of a communication channel", draw_channel),
     Entry("positions", "Relative positions", relative_positions),
     Entry("velocities", "Relative velocities", relative_velocities),
     Entry("estimates", "Velocity estimates", velocity_estimates),
-    Entry("disagreement", "Disagreement", disagreement),
-    Entry("age", "Age of information", age),
+    Entry("disagreement", "Disagreement", draw_disagreement),
+    Entry("age", "Age of information", draw_age),
     Entry("parameters", "Parameter estimates", parameter_estimates),
 )
 

@@ -22,8 +22,11 @@ WINDOW_S = 15.0
 NAMED_EDGES = 24
 """Up to as many edges are named on the axis."""
 
+JOINED_EDGES = 100
+"""Up to as many edges have a line from mean to largest age."""
 
-def age(scene: Scene) -> tuple[Figure, str]:
+
+def draw_age(scene: Scene) -> tuple[Figure, str]:
     """The age on the first edge over time; below, a summary of all edges if there are several."""
     results, edges = scene.results, scene.edges
     if len(edges) == 0:
@@ -87,7 +90,8 @@ def _summary(axes: Axes, edges: Edges) -> list[object]:
     named = _named(edges)
     order = x if named else np.argsort(mean, kind="stable")
     size = max(1.0, 3.0 * min(1.0, NAMED_EDGES / len(ages)) ** 0.5)
-    axes.vlines(x, mean[order], largest[order], color="#D0D0D0", linewidth=0.6)
+    if len(ages) <= JOINED_EDGES:
+        axes.vlines(x, mean[order], largest[order], color="#D0D0D0", linewidth=0.6)
     handles: list[object] = []
     for values, marker, colour in ((mean, "o", style.ACCENT), (peak, "s", style.WARM), (largest, "^", style.GREEN)):
         look: dict[str, Any] = {"linestyle": "none", "marker": marker, "color": colour, "markeredgewidth": 0}

@@ -34,7 +34,7 @@ class Transmitted:
     samples: Floats
 
 
-def channel(scene: Scene) -> tuple[Figure, str]:
+def draw_channel(scene: Scene) -> tuple[Figure, str]:
     """φ(t) at the sender, and φ̃ as the receiver has it from the arrivals."""
     results = scene.results
     what = _choose(results, int(WINDOW_S * 1e9) // results.period_ns + 1)

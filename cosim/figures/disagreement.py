@@ -14,7 +14,7 @@ SMALLEST = 1e-16
 """Beyond the resolution of a float next to 1, nothing is drawn."""
 
 
-def disagreement(scene: Scene) -> tuple[Figure, str]:
+def draw_disagreement(scene: Scene) -> tuple[Figure, str]:
     """Largest deviation over agents and elements: of positions, of velocities, of velocity estimates."""
     curves = _curves(scene)
     labels = [label for _, _, label, _ in curves]

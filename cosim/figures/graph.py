@@ -23,7 +23,7 @@ MAX_AGENTS = 250
 _ITERATIONS = 200
 
 
-def graph(scene: Scene) -> tuple[Figure, str]:
+def draw_graph(scene: Scene) -> tuple[Figure, str]:
     """Agents as discs, an arrow from sender to receiver."""
     links = scene.results.links
     n = len(links.agents)

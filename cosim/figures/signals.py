@@ -69,9 +69,11 @@ def parameter_estimates(scene: Scene) -> tuple[Figure, str]:
 
 def _relative(scene: Scene, signal: Signal, letter: str, reference: Floats | None = None) -> Figure:
     """The first agent's signal less every other agent's, and less the reference."""
-    labels = _Labels([scene.agents[agent] for agent in signal.agents[1:]], "" if reference is None else "$d$")
+    names = [scene.agents[agent] for agent in signal.agents]
+    one = short_name(names[0], "1")
+    extra = "$d$" if len(names) - 1 <= style.FEW else rf"${letter}_{{{one}}} - {letter}_d$"
+    labels = _Labels(names[1:], "" if reference is None else extra)
     figure, axes = style.panels(signal.size, lines=labels.lines)
-    one = short_name(scene.agents[signal.agents[0]], "1")
     colours = [scene.colours[agent] for agent in signal.agents[1:]]
     for k, ax in enumerate(axes):
         first = signal.values[:, :1, k]

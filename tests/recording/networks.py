@@ -96,7 +96,7 @@ def make_plan(
         estimate="controller.v_hat",
         parameters="controller.theta_hat",
         reference_velocity=V_D if leaders else None,
-        leaders=tuple(leaders),
+        leaders=tuple(name for name in leaders if name in links.agents),
         k_eta={agent.name: 2 * math.sqrt(13.0) for agent in agents},
         lambda_={agent.name: 13.0 for agent in agents},
     )
