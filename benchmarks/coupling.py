@@ -2,8 +2,8 @@
 
     python -m benchmarks.coupling [--repetitions 15] [--json]
 
-All three advance one arm with its controller (FMI 3.0) and make the same FMI calls; before they are timed, their results
-are compared bit by bit. Medians of interleaved repetitions; ratios are medians of the repetitions' ratios.
+All three advance one arm with its controller (FMI 3.0) and make the same FMI calls; before they are timed, their
+results are compared bit by bit. Medians of interleaved repetitions; ratios are medians of the repetitions' ratios.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ CALLS = (
     *("CompletedIntegratorStep", "EnterEventMode", "UpdateDiscreteStates", "EnterContinuousTimeMode"),
     *("DoStep", "GetFloat64", "SetFloat64"),
 )
-NO_UPDATES = Updates(*(np.empty(0, np.int64) for _ in range(3)), np.empty(0), np.empty((0, 0)))
+_NONE = np.empty(0, np.int64)
+NO_UPDATES = Updates(_NONE, _NONE, _NONE, np.empty(0), np.empty((0, 0)))
 
 
 class Fmu(ctypes.Structure):

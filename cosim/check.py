@@ -13,9 +13,9 @@ from typing import TypeVar
 import numpy as np
 
 from cosim.agent import Agent
-from cosim.names import in_short
 from cosim.opening import open_components
 from cosim.plan import AgentPlan, ComponentPlan, CouplingPlan, Loop, Method, Plan
+from cosim.scenario.names import in_short
 from cosim.theory import mu, published_bound
 from cosim.topology import kappa, reached_by, roots
 from network.units import format_duration, to_seconds

@@ -66,7 +66,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _report(args: argparse.Namespace) -> int:
-    from cosim import report
+    from cosim.reporting import report
 
     return report.main(args)
 
@@ -82,8 +82,8 @@ def _check(args: argparse.Namespace) -> int:
 
 
 def _init(args: argparse.Namespace) -> int:
-    from cosim import configs
-    from cosim.names import scenario_name
+    from cosim.scenario import configs
+    from cosim.scenario.names import scenario_name
 
     source = configs.shipped(args.source)
     target = Path(args.name if args.name.endswith((".yaml", ".yml")) else f"{args.name}.yaml")
@@ -108,7 +108,7 @@ def _init(args: argparse.Namespace) -> int:
 def _schema(args: argparse.Namespace) -> int:  # noqa: ARG001 - as every command
     import json
 
-    from cosim.spec import json_schema
+    from cosim.scenario.spec import json_schema
 
     print(json.dumps(json_schema(), indent=2, ensure_ascii=False))
     return 0

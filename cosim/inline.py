@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from network.emulator import Emulator
-
 from cosim.agent import Agent
 from cosim.component import Floats
 from cosim.master import Emulate, Finish, Master
 from cosim.opening import open_components
 from cosim.plan import Plan
+from network.emulator import Emulator
 from network.messages import Fates
 
 

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.columns import scalar_names
 from cosim.errors import suggest
-from cosim.manifest import DELIVERIES, FORMAT, MANIFEST, SCENARIO, TRAJECTORIES, folder_problem
-from cosim.table import indices, numbers
+from cosim.recording.columns import scalar_names
+from cosim.recording.manifest import DELIVERIES, FORMAT, MANIFEST, SCENARIO, TRAJECTORIES, folder_problem
+from cosim.recording.table import indices, numbers
 from network.messages import Fate, Fates, Floats, Links
 from network.units import to_seconds
 

@@ -17,7 +17,7 @@ from cosim.errors import CosimError, RunError
 from cosim.inline import Interrupted, run
 from cosim.plan import Plan
 from cosim.progress import Disagreement, Progress
-from cosim.recorder import Recorder
+from cosim.recording.recorder import Recorder
 from network.messages import Fates
 
 EXIT_INTERRUPTED = 130
@@ -128,7 +128,7 @@ class _Summary:
 
 
 def _draw(folder: Path, *, quiet: bool) -> None:
-    from cosim.report import draw
+    from cosim.reporting.report import draw
 
     page = draw(folder)
     if not quiet:

@@ -86,6 +86,7 @@ class NativeLoop:
         rows = self._transfers.rows
         self._agent.transfers = self._keep((layout.Transfer * len(rows))(*rows))
         self._agent.components = self._keep((layout.Component * n)(*self._component_rows(wiring)))
+        self._address = ctypes.addressof(self._agent)
 
     def advance(self, start_ns: int, end_ns: int, updates: Updates) -> None:
         """See `cosim.coupling.PythonLoop.advance`."""
@@ -94,15 +95,8 @@ class NativeLoop:
         if end_ns > _LATEST_NS:
             text = f"the native loop counts time up to {to_seconds(_LATEST_NS):.0f} s; use `coupling: {{loop: python}}`"
             raise ComponentError(self._components[0].name, text)
-        messages = layout.Updates(
-            count=len(updates),
-            arrival_ns=updates.arrival_ns.ctypes.data,
-            slot=updates.slot.ctypes.data,
-            stamp=updates.stamp.ctypes.data,
-            time=updates.time.ctypes.data,
-            values=updates.values.ctypes.data,
-        )
-        if not self._advance(ctypes.byref(self._agent), start_ns, end_ns, ctypes.byref(messages)):
+        messages = _updates(updates) if len(updates) else _NO_UPDATES
+        if not self._advance(self._address, start_ns, end_ns, ctypes.addressof(messages)):
             raise self._failure()
 
     def _keep(self, memory: Any) -> int:
@@ -154,6 +148,20 @@ class NativeLoop:
                     f"the step size fell below {failure.value:.3g} s without meeting the tolerances; "
                     "loosen relative_tolerance or absolute_tolerance, or look for a discontinuity",
                 )
+
+
+_NO_UPDATES = layout.Updates()
+
+
+def _updates(updates: Updates) -> layout.Updates:
+    return layout.Updates(
+        count=len(updates),
+        arrival_ns=updates.arrival_ns.ctypes.data,
+        slot=updates.slot.ctypes.data,
+        stamp=updates.stamp.ctypes.data,
+        time=updates.time.ctypes.data,
+        values=updates.values.ctypes.data,
+    )
 
 
 def _only_fmus(components: Sequence[Component]) -> list[FmuComponent]:

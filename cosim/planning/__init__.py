@@ -8,10 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from cosim import configs
 from cosim.component import Variable
 from cosim.errors import Problem
-from cosim.merging import Override
 from cosim.plan import AgentPlan, AnalysisPlan, ComponentPlan, MailboxPlan, Method, Plan
 from cosim.planning.analysis import Member, plan_analysis
 from cosim.planning.blueprint import Blueprint, draw_up
@@ -22,8 +20,10 @@ from cosim.planning.problems import Problems
 from cosim.planning.resolved import resolved_text
 from cosim.planning.starts import draw
 from cosim.planning.warnings import add_warnings
-from cosim.reading import Scenario, read_scenario
-from cosim.spec import MAILBOX_PORTS
+from cosim.scenario import configs
+from cosim.scenario.merging import Override
+from cosim.scenario.reading import Scenario, read_scenario
+from cosim.scenario.spec import MAILBOX_PORTS
 from cosim.wiring import AlgebraicLoopError, wire
 from network.messages import MessageLayout
 from network.units import format_duration

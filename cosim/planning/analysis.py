@@ -11,7 +11,7 @@ from cosim.errors import Location, suggest
 from cosim.plan import AnalysisPlan, ComponentPlan, Port
 from cosim.planning.problems import Problems
 from cosim.planning.starts import NUMERIC
-from cosim.reading import Scenario
+from cosim.scenario.reading import Scenario
 
 
 @dataclass(frozen=True)

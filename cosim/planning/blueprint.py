@@ -13,9 +13,9 @@ from cosim.planning.describing import Describer, Origin
 from cosim.planning.ports import Ports, a_or_an, numbers, type_mismatch, unit_mismatch
 from cosim.planning.problems import Problems
 from cosim.planning.starts import FLOATS, INTEGERS, NUMERIC, Element, elements, is_settable
-from cosim.reading import AgentEntry
-from cosim.source import Node
-from cosim.spec import MAILBOX_PORTS, ComponentSpec
+from cosim.scenario.reading import AgentEntry
+from cosim.scenario.source import Node
+from cosim.scenario.spec import MAILBOX_PORTS, ComponentSpec
 from network.units import to_seconds
 
 

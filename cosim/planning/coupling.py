@@ -8,9 +8,9 @@ from cosim.component import Description, Interface
 from cosim.errors import Location
 from cosim.plan import CouplingPlan, Integrator, Loop, Method
 from cosim.planning.problems import Problems
-from cosim.reading import AgentEntry
-from cosim.source import Node
-from cosim.spec import CouplingSpec
+from cosim.scenario.reading import AgentEntry
+from cosim.scenario.source import Node
+from cosim.scenario.spec import CouplingSpec
 from network.units import format_duration
 
 _DEFAULT_STEP_NS = {Method.JOINT: 5_000_000}

@@ -9,8 +9,8 @@ from pathlib import Path
 from cosim.component import Description
 from cosim.errors import ConfigError, Location, suggest
 from cosim.planning.problems import Problems
-from cosim.reading import Scenario
-from cosim.spec import ComponentSpec
+from cosim.scenario.reading import Scenario
+from cosim.scenario.spec import ComponentSpec
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.errors import Location, suggest
-from cosim.names import agent_names
 from cosim.planning.problems import Problems
-from cosim.reading import Scenario
-from cosim.source import Node
-from cosim.spec import EdgeSpec
+from cosim.scenario.names import agent_names
+from cosim.scenario.reading import Scenario
+from cosim.scenario.source import Node
+from cosim.scenario.spec import EdgeSpec
 from network.messages import Links
 
 

@@ -10,7 +10,7 @@ from cosim.plan import MailboxPlan, Port
 from cosim.planning.blueprint import Blueprint, Part
 from cosim.planning.ports import numbers, type_mismatch, unit_mismatch
 from cosim.planning.problems import Problems
-from cosim.spec import MAILBOX_PORTS, PARAMETER_PORTS
+from cosim.scenario.spec import MAILBOX_PORTS, PARAMETER_PORTS
 
 
 def mailbox_of(blueprint: Blueprint, message: Mapping[str, Variable | None]) -> MailboxPlan:

@@ -10,8 +10,8 @@ from cosim.plan import AgentPlan, Loop
 from cosim.planning.blueprint import Blueprint
 from cosim.planning.describing import is_file
 from cosim.planning.graph import Edge
-from cosim.reading import Scenario
-from cosim.source import Lines, dump
+from cosim.scenario.reading import Scenario
+from cosim.scenario.source import Lines, dump
 from network.units import format_duration
 
 Tree = dict[str, Any]

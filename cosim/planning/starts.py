@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 
 from cosim.component import Value, Variable
 from cosim.errors import suggest
-from cosim.spec import Normal, Uniform
+from cosim.scenario.spec import Normal, Uniform
 from network.draws import initial_normal, initial_uniform
 
 Element: TypeAlias = "Value | Uniform | Normal"

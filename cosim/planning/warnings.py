@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from cosim.errors import Location
-from cosim.names import in_short
 from cosim.planning.graph import Edge, links_of
 from cosim.planning.problems import Problems
-from cosim.reading import Scenario
+from cosim.scenario.names import in_short
+from cosim.scenario.reading import Scenario
 from cosim.topology import reached_by, roots, sources
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from cosim import cli
 from tests.cli.conftest import Cosim
-from tests.config.scenarios import BASE, FILE, changed
+from tests.scenario.scenarios import BASE, FILE, changed
 
 CHECKED = """\
 paper_leaders: Ten arms, leaders 1 and 4

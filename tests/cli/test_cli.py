@@ -9,7 +9,7 @@ import pytest
 
 from cosim import cli
 from tests.cli.conftest import ROOT, Cosim
-from tests.config.scenarios import BASE, FILE, changed
+from tests.scenario.scenarios import BASE, FILE, changed
 
 
 def test_help_names_every_command_and_exit_code(cosim: Cosim) -> None:

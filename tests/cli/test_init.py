@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from cosim import cli, configs
+from cosim import cli
+from cosim.scenario import configs
 from cosim.planning import load
 from tests.cli.conftest import Cosim
 

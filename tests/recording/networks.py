@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.component import Description, Interface, Variable
 from cosim.plan import AgentPlan, AnalysisPlan, ComponentPlan, CouplingPlan, MailboxPlan, Method, Plan, Port
-from cosim.recorder import Recorder
+from cosim.recording.recorder import Recorder
 from network.channel import ChannelModel
 from network.emulator import Emulator
 from network.messages import Exchange, Floats, Links, MessageLayout

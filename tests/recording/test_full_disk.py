@@ -12,11 +12,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from cosim import table
 from cosim.errors import ConfigError
-from cosim.recorder import Recorder, RecordingError
+from cosim.recording import table
+from cosim.recording.recorder import Recorder, RecordingError
+from cosim.recording.table import TableFile, allocate, float_array
 from cosim.results import load
-from cosim.table import TableFile, allocate, float_array
 from tests.recording.networks import make_plan
 from tests.recording.test_recorder import digest_of, some_fates
 

@@ -14,10 +14,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim.columns import Columns, scalar_names
 from cosim.errors import ConfigError
 from cosim.plan import Plan
-from cosim.recorder import Recorder
+from cosim.recording.columns import Columns, scalar_names
+from cosim.recording.recorder import Recorder
 from network.messages import NEVER, Fate, Fates
 from tests.recording.networks import VARIABLES, Record, make_plan, record
 
@@ -26,7 +26,7 @@ FATES = ["delivered", "superseded", "lost", "in_flight"]
 
 
 def digest_of(folder: Path) -> str:
-    """The digest as `cosim.digest` defines it, from the files alone and one number at a time."""
+    """The digest as `cosim.recording.digest` defines it, from the files alone and one number at a time."""
     manifest = json.loads((folder / "manifest.json").read_text())
     names = [agent["name"] for agent in manifest["agents"]]
     rows, fates = hashlib.sha256(), hashlib.sha256()
@@ -165,7 +165,7 @@ def test_fates_in_blocks_change_nothing(folders: Folders, monkeypatch: pytest.Mo
     plan = make_plan(5, 60)
     whole, cut = folders(), folders()
     digest = record(plan, whole)
-    monkeypatch.setattr("cosim.recorder.FATES_AT_ONCE", 7)
+    monkeypatch.setattr("cosim.recording.recorder.FATES_AT_ONCE", 7)
     assert record(plan, cut) == digest
     assert pq.ParquetFile(cut / "deliveries.parquet").num_row_groups > 10
     assert pq.read_table(cut / "deliveries.parquet").equals(pq.read_table(whole / "deliveries.parquet"))

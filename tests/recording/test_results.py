@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from cosim.errors import ConfigError
-from cosim.recorder import Recorder
+from cosim.recording.recorder import Recorder
 from cosim.results import load
 from network.messages import Fate, Fates
 from tests.recording.networks import Record, make_plan, record
@@ -82,7 +82,7 @@ def test_fates_agree_with_the_frame(folders: Folders) -> None:
 
 
 def test_first_fates_are_whole_row_groups(folders: Folders, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cosim.recorder.FATES_AT_ONCE", 20)
+    monkeypatch.setattr("cosim.recording.recorder.FATES_AT_ONCE", 20)
     folder = folders()
     record(make_plan(4, 40), folder)
     results = load(folder)

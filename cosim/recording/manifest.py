@@ -13,9 +13,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from cosim.columns import Columns
 from cosim.errors import ConfigError, Location, Problem
 from cosim.plan import AgentPlan, AnalysisPlan, Plan
+from cosim.recording.columns import Columns
 
 FORMAT = 1
 

@@ -7,12 +7,17 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from cosim.figures.age import draw_age
-from cosim.figures.channel import draw_channel
-from cosim.figures.disagreement import draw_disagreement
-from cosim.figures.graph import draw_graph
-from cosim.figures.scene import NotDrawn, Scene
-from cosim.figures.signals import parameter_estimates, relative_positions, relative_velocities, velocity_estimates
+from cosim.reporting.figures.age import draw_age
+from cosim.reporting.figures.channel import draw_channel
+from cosim.reporting.figures.disagreement import draw_disagreement
+from cosim.reporting.figures.graph import draw_graph
+from cosim.reporting.figures.scene import NotDrawn, Scene
+from cosim.reporting.figures.signals import (
+    parameter_estimates,
+    relative_positions,
+    relative_velocities,
+    velocity_estimates,
+)
 
 
 @dataclass(frozen=True)

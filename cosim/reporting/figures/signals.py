@@ -8,8 +8,8 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cosim.figures import style
-from cosim.figures.scene import MAX_AXES, Scene, Signal, short_name
+from cosim.reporting.figures import style
+from cosim.reporting.figures.scene import MAX_AXES, Scene, Signal, short_name
 from network.messages import Floats
 
 _DASHED: dict[str, Any] = {"color": style.INK, "linewidth": 0.9, "linestyle": (0, (4, 2))}

@@ -12,9 +12,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from cosim import findings
-from cosim.edges import Edges
-from cosim.manifest import folder_problem, write_atomically
+from cosim.recording.manifest import folder_problem, write_atomically
+from cosim.reporting import findings
+from cosim.reporting.edges import Edges
 from cosim.results import Results, load
 
 PAGE = "report.html"
@@ -62,8 +62,8 @@ def draw(folder: Path) -> Path:
 
 
 def _draw_figures(results: Results, folder: Path) -> list[Shown]:
-    from cosim.figures import FIGURES, NotDrawn, Scene
-    from cosim.figures.style import save, styled
+    from cosim.reporting.figures import FIGURES, NotDrawn, Scene
+    from cosim.reporting.figures.style import save, styled
 
     folder.mkdir(exist_ok=True)
     scene = Scene(results)

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from cosim.figures import style
-from cosim.figures.scene import NotDrawn, Scene, Signal
+from cosim.reporting.figures import style
+from cosim.reporting.figures.scene import NotDrawn, Scene, Signal
 from network.messages import Floats
 
 SMALLEST = 1e-16

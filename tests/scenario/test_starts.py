@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from cosim.component import Variable
 from cosim.planning.starts import draw, elements, is_settable
-from cosim.spec import Normal, Uniform
+from cosim.scenario.spec import Normal, Uniform
 
 
 def variable(dtype: str = "Float64", shape: tuple[int, ...] = (), **changes: Any) -> Variable:

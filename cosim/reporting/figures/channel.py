@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from cosim.figures import style
-from cosim.figures.scene import NotDrawn, Scene
+from cosim.reporting.figures import style
+from cosim.reporting.figures.scene import NotDrawn, Scene
 from cosim.results import Results
 from network.messages import Fate, Floats
 from network.units import to_seconds

@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch
 
-from cosim.figures import style
-from cosim.figures.scene import NotDrawn, Scene
-from cosim.names import in_short
+from cosim.reporting.figures import style
+from cosim.reporting.figures.scene import NotDrawn, Scene
+from cosim.scenario.names import in_short
 from cosim.topology import roots
 from network.messages import Floats, Links
 

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from cosim.errors import ConfigError, Problem, Severity
-from cosim.merging import Override
 from cosim.planning import Planned, plan
-from cosim.reading import read_scenario
+from cosim.scenario.merging import Override
+from cosim.scenario.reading import read_scenario
 
 FILE = "net.yaml"
 BASE = """\

@@ -1,7 +1,7 @@
 """Writes a run folder: the manifest, the resolved scenario, the trajectories and the fate of every message.
 
-Memory stays bounded: rows and fates are kept in blocks and written as Parquet row groups (`cosim.table`). A run of 60 s
-with ten agents is one block, so nothing but a copy of 1 kB happens per tick.
+Memory stays bounded: rows and fates are kept in blocks and written as Parquet row groups (`cosim.recording.table`). A
+run of 60 s with ten agents is one block, so nothing but a copy of 1 kB happens per tick.
 
 When the disk fills up, `tick` or `fates` raises `RecordingError`; the caller then closes the recorder like after any
 other failure, and what was recorded stays readable.
@@ -19,10 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from cosim.columns import Columns
-from cosim.digest import RunDigest
 from cosim.errors import CosimError
-from cosim.manifest import (
+from cosim.plan import Plan
+from cosim.recording.columns import Columns
+from cosim.recording.digest import RunDigest
+from cosim.recording.manifest import (
     DELIVERIES,
     MANIFEST,
     SCENARIO,
@@ -33,8 +34,7 @@ from cosim.manifest import (
     to_json,
     write_atomically,
 )
-from cosim.plan import Plan
-from cosim.table import TableFile, allocate, float_array, int_array, name_array
+from cosim.recording.table import TableFile, allocate, float_array, int_array, name_array
 from network.messages import NEVER, Fate, Fates, Floats, Ints
 from network.units import NANOSECONDS_PER_SECOND, to_seconds
 

@@ -6,13 +6,13 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from cosim import configs
 from cosim.errors import ConfigError
 from cosim.planning import load
-from cosim.source import read
-from cosim.spec import json_schema
+from cosim.scenario import configs
+from cosim.scenario.source import read
+from cosim.scenario.spec import json_schema
 from cosim.topology import kappa, roots
-from tests.config.scenarios import BASE, FILE
+from tests.scenario.scenarios import BASE, FILE
 
 PAPER = ["paper_leaders", "paper_leaderless", "paper_known_velocity"]
 VALIDATOR = jsonschema.Draft202012Validator(json_schema())

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from cosim.errors import ConfigError, Location, Problem
-from cosim.source import Node, parse
+from cosim.scenario.source import Node, parse
 
 _ALTERNATIVES = (frozenset({"fmu", "python"}), frozenset({"uniform", "normal"}))
 """Keys that exclude each other: writing one replaces what was written under another."""

@@ -10,7 +10,7 @@ import pytest
 from cosim.errors import Severity
 from cosim.plan import AgentPlan, Integrator, Loop, Method, Plan
 from cosim.planning import load
-from tests.config.scenarios import BASE, changed, planned
+from tests.scenario.scenarios import BASE, changed, planned
 
 
 def plan_of(folder: Path, text: str = BASE, *settings: str) -> Plan:

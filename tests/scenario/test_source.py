@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.errors import ConfigError, Location
-from cosim.source import Node, dump, parse
-from tests.config.scenarios import FILE, marked
+from cosim.scenario.source import Node, dump, parse
+from tests.scenario.scenarios import FILE, marked
 
 SCALARS = (
     st.none()
@@ -173,8 +173,8 @@ def test_aliases_that_expand_without_bound() -> None:
 def test_without_the_c_parser_the_tree_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     text = "a: {b: [1, 'é'], c: &x {d: 1e-3}}\ne: *x\nf: |\n  text\n"
     fast = parse(text, FILE)
-    import cosim.source
+    import cosim.scenario.source
 
-    assert issubclass(cosim.source._Loader, yaml.CSafeLoader)
-    monkeypatch.setattr(cosim.source, "_Loader", cosim.source._PythonLoader)
+    assert issubclass(cosim.scenario.source._Loader, yaml.CSafeLoader)
+    monkeypatch.setattr(cosim.scenario.source, "_Loader", cosim.scenario.source._PythonLoader)
     assert parse(text, FILE) == fast

@@ -10,10 +10,10 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from cosim.errors import ConfigError, Location, Problem, suggest
-from cosim.merging import Override, merge
-from cosim.names import agent_names
-from cosim.source import Node, read
-from cosim.spec import AgentSpec, ScenarioSpec
+from cosim.scenario.merging import Override, merge
+from cosim.scenario.names import agent_names
+from cosim.scenario.source import Node, read
+from cosim.scenario.spec import AgentSpec, ScenarioSpec
 
 Model = TypeVar("Model", bound=BaseModel)
 Step = str | int
@@ -255,7 +255,7 @@ def _trace(schema: Mapping[str, Any], steps: Sequence[Step]) -> tuple[list[Step]
     """Where an error's path leads in the file, and which keys a mapping there may have.
 
     Among the keys of the file, pydantic's paths name the variants of unions: by the value of the key that tells them
-    apart, or as `<…>` where `cosim.spec` names them.
+    apart, or as `<…>` where `cosim.scenario.spec` names them.
     """
     definitions = schema.get("$defs", {})
     here = [schema]

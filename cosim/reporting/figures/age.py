@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from cosim.edges import Edges
-from cosim.figures import style
-from cosim.figures.scene import NotDrawn, Scene
+from cosim.reporting.edges import Edges
+from cosim.reporting.figures import style
+from cosim.reporting.figures.scene import NotDrawn, Scene
 from network.freshness import EdgeLog, Span
 from network.messages import Fate, Floats
 from network.units import to_seconds

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim import findings, report
-from cosim.edges import Edges
 from cosim.errors import ConfigError
-from cosim.figures import FIGURES, age, disagreement
-from cosim.figures import graph as drawing
-from cosim.figures.scene import MAX_POINTS, Scene, short_name
-from cosim.figures.style import legend_lines
 from cosim.plan import AnalysisPlan
+from cosim.reporting import findings, report
+from cosim.reporting.edges import Edges
+from cosim.reporting.figures import FIGURES, age, disagreement
+from cosim.reporting.figures import graph as drawing
+from cosim.reporting.figures.scene import MAX_POINTS, Scene, short_name
+from cosim.reporting.figures.style import legend_lines
 from cosim.results import load
 from network.delay import Delay
 from tests.recording.networks import V_D, VARIABLES, make_plan, record, restrict
@@ -266,8 +266,8 @@ def test_sawtooth_falls_at_arrivals_and_rises_with_slope_one(tmp_path: Path) -> 
 
 
 def test_beginning_of_a_long_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cosim.recorder.FATES_AT_ONCE", 100)
-    monkeypatch.setattr("cosim.edges.MAX_FATES", 500)
+    monkeypatch.setattr("cosim.recording.recorder.FATES_AT_ONCE", 100)
+    monkeypatch.setattr("cosim.reporting.edges.MAX_FATES", 500)
     record(make_plan(5, 300), tmp_path / "run")
     edges = Edges(load(tmp_path / "run"))
     assert 20 < edges.span.n_ticks < 300

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.names import agent_names, in_short
+from cosim.scenario.names import agent_names, in_short
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 from typing_extensions import TypeAliasType
 
-from cosim.names import agent_names, scenario_name
+from cosim.scenario.names import agent_names, scenario_name
 from network.models import AnyChannelModel
 from network.units import PositiveDuration
 

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.errors import ConfigError, Location
-from cosim.merging import Override, merge
-from cosim.source import Node, dump, parse
-from tests.config.test_source import nodes
+from cosim.scenario.merging import Override, merge
+from cosim.scenario.source import Node, dump, parse
+from tests.scenario.test_source import nodes
 
 LEAVES = st.integers(0, 9) | st.lists(st.integers(0, 9), max_size=2)
 TREES = st.recursive(

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from cosim.edges import Edges
-from cosim.names import in_short
+from cosim.reporting.edges import Edges
 from cosim.results import Results
+from cosim.scenario.names import in_short
 from cosim.theory import mu, published_bound
 from cosim.topology import kappa, reached_by, roots
 from network.freshness import common_front

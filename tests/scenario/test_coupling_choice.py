@@ -7,9 +7,9 @@ from cosim.errors import ConfigError, Severity
 from cosim.plan import CouplingPlan, Loop, Method
 from cosim.planning.coupling import choose_coupling
 from cosim.planning.problems import Problems
-from cosim.reading import AgentEntry
-from cosim.source import parse
-from cosim.spec import AgentSpec
+from cosim.scenario.reading import AgentEntry
+from cosim.scenario.source import parse
+from cosim.scenario.spec import AgentSpec
 
 ME, CS = Interface.MODEL_EXCHANGE, Interface.CO_SIMULATION
 PERIOD = 100_000_000

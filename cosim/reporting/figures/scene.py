@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from cosim.edges import Edges
-from cosim.figures.style import agent_colours
+from cosim.reporting.edges import Edges
+from cosim.reporting.figures.style import agent_colours
 from cosim.results import Results
 from network.messages import Floats
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.config.scenarios import BASE, FILE, changed, errors, marked, problems
+from tests.scenario.scenarios import BASE, FILE, changed, errors, marked, problems
 
 Change = tuple[str, str]
 

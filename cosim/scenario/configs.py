@@ -10,8 +10,8 @@ _SUFFIXES = (".yaml", ".yml")
 
 
 def folder() -> Path:
-    """Where the shipped scenarios are: beside this module once installed, at the root of the source tree before."""
-    here = Path(__file__).parent
+    """Where the shipped scenarios are: in the package once installed, at the root of the source tree before."""
+    here = Path(__file__).parents[1]
     installed = here / "configs"
     return installed if installed.is_dir() else here.parent / "configs"
 

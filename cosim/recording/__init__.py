@@ -1,0 +1,1 @@
+"""Writing a run folder: rows and fates as they come, the digest, the manifest."""

@@ -1,0 +1,1 @@
+"""What the user wrote: YAML text, overrides and templates, read into a validated scenario."""
