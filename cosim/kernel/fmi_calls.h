@@ -8,9 +8,18 @@
 #include <math.h>
 #include <stddef.h>
 
+#include "kernel.h"
+
+/* The official headers write () for (void) in places. */
+#if defined(__GNUC__)
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wstrict-prototypes"
+#endif
 #include "fmi2FunctionTypes.h"
 #include "fmi3FunctionTypes.h"
-#include "kernel.h"
+#if defined(__GNUC__)
+#pragma GCC diagnostic pop
+#endif
 
 static inline bool check(Agent *agent, int component, int call, int status) {
     if (status <= fmi3Warning) return true;
@@ -86,7 +95,7 @@ static inline bool change_mode(Agent *agent, int index, Call call) {
     Function f = c->functions[call];
     int status = c->fmi == 3 ? (int)((fmi3EnterEventModeTYPE *)f)(c->instance)
                              : (int)((fmi2EnterEventModeTYPE *)f)(c->instance);
-    return check(agent, index, call, status);
+    return check(agent, index, (int)call, status);
 }
 
 /* One update; `again` says whether another is needed, `next_event` is the next time event in seconds or INFINITY. */
