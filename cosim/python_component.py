@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cosim.component import Component, Description, Floats, Interface, Value, Variable
 from cosim.errors import ComponentError, ConfigError, Problem, suggest
-from cosim.fmu_values import start_values
+from cosim.start_values import start_values
 
 _ARRAY_TYPES: dict[str, Any] = {
     "Float64": np.float64,

@@ -219,8 +219,14 @@ def test_no_description(probe_library: Path, tmp_path: Path) -> None:
         ("<html/>", "does not say which version of FMI"),
         (description3().replace(' valueReference="50"', "", 1), "valueReference"),
         (description3().replace('dependencies="10"', 'dependencies="99"'), "broken modelDescription.xml"),
+        (description3().replace('start="0 0"', 'start="0 zero"'), "could not convert string to float: 'zero'"),
+        (description2().replace('start="0"/>', 'start="nil"/>'), "'nil'"),
+        (description3().replace(' value="3"/>', ' value="three"/>'), "'three'"),
     ],
-    ids=["empty", "cut in the root", "cut at the end", "another document", "attribute missing", "unknown reference"],
+    ids=[
+        *("empty", "cut in the root", "cut at the end", "another document", "attribute missing", "unknown reference"),
+        *("start of FMI 3.0", "start of FMI 2.0", "item of an enumeration"),
+    ],
 )
 def test_a_broken_description(probe_library: Path, tmp_path: Path, text: str, said: str) -> None:
     assert said in refusal(write_fmu(tmp_path / "x.fmu", probe_library, text))

@@ -16,10 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import fmus
-from cosim import fmu
 from cosim.component import Interface, Value
 from cosim.errors import ComponentError, ConfigError
-from cosim.fmu import FmuComponent, describe, open_fmu
+from cosim.fmu import FmuComponent, describe, library, open_fmu
 from tests.components.probe import TYPES, description2, description3, write_fmu
 
 ME, CS = Interface.MODEL_EXCHANGE, Interface.CO_SIMULATION
@@ -320,11 +319,11 @@ def test_failing_events(opened: Open, fmi: int, fails: str, said: str) -> None:
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_only_the_latest_lines_are_kept(opened: Open, fmi: int) -> None:
     component = initialised(opened(fmi, CS, fails="step_discards"))
-    for i in range(2 * fmu.LOG_LINES):
+    for i in range(2 * library.LOG_LINES):
         with pytest.raises(ComponentError):
             component.step(float(i), 0.1)
-    assert len(component.log.lines) == fmu.LOG_LINES
-    assert component.log.last == f"[Discard] probe gives up at t = {2 * fmu.LOG_LINES - 1}"
+    assert len(component.log.lines) == library.LOG_LINES
+    assert component.log.last == f"[Discard] probe gives up at t = {2 * library.LOG_LINES - 1}"
 
 
 def test_instances_of_fmi2_have_logs_of_their_own(opened: Open) -> None:
@@ -393,4 +392,4 @@ def test_a_damaged_member_is_refused_when_unpacked(probe_library: Path, tmp_path
     path = write_fmu(tmp_path / "x.fmu", probe_library, description3(), {"resources/data.txt": "some data"})
     path.write_bytes(path.read_bytes().replace(b"some data", b"some dada"))
     with pytest.raises(ConfigError, match="cannot be unpacked: Bad CRC"):
-        fmu._unpacked(fmu._read(path))
+        library._unpacked(library.read(path))

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from cosim.component import Floats, Value, Variable
-from cosim.errors import suggest
+from cosim.component import Floats, Variable
 
 FMI2_TYPES: dict[str, tuple[str, Any]] = {
     "Float64": ("Real", np.float64),
@@ -65,36 +63,3 @@ def integer_range(dtype: np.dtype[Any]) -> tuple[float, float]:
     limits = np.iinfo(dtype)
     largest = float(limits.max)
     return float(limits.min), largest if int(largest) <= limits.max else float(np.nextafter(largest, 0.0))
-
-
-def start_values(variable: Variable, values: Sequence[Value]) -> list[Any]:
-    """Start values in the variable's type.
-
-    Raises:
-        ValueError: wrong number or type of values; the message is a predicate ("takes …").
-    """
-    if len(values) != variable.size:
-        raise ValueError(f"takes {variable.size} values, not {len(values)}")
-    return [_start_value(variable, value) for value in values]
-
-
-def _start_value(variable: Variable, value: Value) -> Any:
-    if variable.dtype == "String":
-        if isinstance(value, str):
-            return value
-        raise ValueError(f"takes a text, not {value!r}")
-    if variable.dtype == "Boolean":
-        if isinstance(value, bool) or value in (0, 1):
-            return bool(value)
-        raise ValueError(f"takes true or false, not {value!r}")
-    if variable.dtype == "Enumeration" and isinstance(value, str):
-        if value in variable.items:
-            return variable.items[value]
-        raise ValueError(f"has no item {value!r}{suggest(value, variable.items)}")
-    if isinstance(value, (bool, str)):
-        raise ValueError(f"takes a number, not {value!r}")  # noqa: TRY004 - said of a user's value
-    if variable.dtype.startswith("Float"):
-        return float(value)
-    if value != int(value):
-        raise ValueError(f"takes a whole number, not {value!r}")
-    return int(value)

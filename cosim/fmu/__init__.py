@@ -1,0 +1,78 @@
+"""FMUs of FMI 2.0 and 3.0: `describe` a file, `open_fmu` an instance.
+
+Importing this package takes a while (FMPy brings lxml and more), so others import it inside functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from cosim.component import Description, Interface
+from cosim.errors import ComponentError
+from cosim.fmu.archive import refuse
+from cosim.fmu.component import Fmi2Component, Fmi3Component, FmuComponent, Native
+from cosim.fmu.library import PLATFORM, read
+from cosim.fmu.variables import fmi2_variables, fmi3_variables
+
+__all__ = ["FmuComponent", "Native", "describe", "open_fmu"]
+
+
+def describe(path: Path, structural: Mapping[str, int] | None = None) -> Description:
+    """What an FMU says of itself.
+
+    Args:
+        path: of the file.
+        structural: values of FMI 3.0 structural parameters, which size its arrays; others keep their start values.
+            Names that are no structural parameters are ignored.
+
+    Raises:
+        ConfigError: missing, truncated or malicious file, no or a broken model description, FMI 1.0, no binary for this
+            platform, or one that only works inside its own tool.
+    """
+    file = read(Path(path))
+    if file.library_folder is None:
+        offered = ", ".join(file.archive.platforms) or "none"
+        raise refuse(
+            file.archive.path,
+            f"has no binary for this platform ({PLATFORM}); it has: {offered}. "
+            "Ask its supplier for one, or run on another platform",
+        )
+    implementations = file.implementations
+    co_simulation = implementations.get(Interface.CO_SIMULATION)
+    try:
+        variables = fmi2_variables(file.model) if file.fmi == 2 else fmi3_variables(file.model, structural or {})
+    except (ValueError, TypeError, AttributeError) as error:
+        raise refuse(file.archive.path, f"has a broken modelDescription.xml: {error}") from error
+    return Description(
+        model=file.model.modelName,
+        fmi=f"{file.fmi}.0",
+        interfaces=tuple(implementations),
+        variables=variables,
+        platforms=file.archive.platforms,
+        sha256=file.archive.sha256,
+        n_event_indicators=file.model.numberOfEventIndicators,
+        variable_step=co_simulation is None or co_simulation.canHandleVariableCommunicationStepSize,
+        can_get_and_set_state=all(x.canGetAndSetFMUstate for x in implementations.values()),
+    )
+
+
+def open_fmu(name: str, path: Path, interface: Interface, description: Description) -> FmuComponent:
+    """A new instance.
+
+    Args:
+        name: of the component, for messages.
+        path: of the file.
+        interface: Model Exchange or Co-Simulation.
+        description: from `describe`, with the arrays sized as they will be used.
+
+    Raises:
+        ConfigError: the file cannot be used; see `describe`.
+        ComponentError: the file is another one than was described, its library cannot be loaded, or it refuses.
+    """
+    file = read(Path(path))
+    if description.sha256 != file.archive.sha256:
+        raise ComponentError(name, f"{path} is not the file that the scenario was checked with (its SHA-256 differs)")
+    if interface not in file.implementations:
+        raise ComponentError(name, f"{path} does not offer {interface}")
+    return (Fmi2Component if file.fmi == 2 else Fmi3Component)(name, file, interface, description)

@@ -1,0 +1,266 @@
+"""FMPy: reading model descriptions, loading libraries, the log. The only file that imports FMPy.
+
+A file is read and unpacked once per process, its library loaded once; every instance then costs little more than its
+own instantiation.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import ctypes
+import functools
+import io
+import itertools
+import os
+import threading
+import weakref
+import zipfile
+import zlib
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+from xml.etree import ElementTree
+
+from cosim.component import Interface
+from cosim.fmu.archive import Archive, inspect, refuse, unpack
+
+with contextlib.redirect_stdout(io.StringIO()):  # where FMPy has no logger for the platform, it prints so
+    import fmpy
+    from fmpy.fmi1 import FMICallException
+    from fmpy.fmi2 import (
+        FMU2Model,
+        FMU2Slave,
+        defaultCallbacks,
+        fmi2CallbackFunctions,
+        fmi2CallbackLoggerTYPE,
+        fmi2LastSuccessfulTime,
+    )
+    from fmpy.fmi3 import FMU3Model, FMU3Slave
+    from fmpy.model_description import ValidationError, read_model_description
+
+__all__ = [
+    "LAST_SUCCESSFUL_TIME",
+    "LOG_LINES",
+    "PLATFORM",
+    "FMICallException",
+    "File",
+    "Log",
+    "fmi2_callbacks",
+    "open_library",
+    "read",
+    "status_name",
+]
+
+PLATFORM: str = fmpy.platform_tuple
+LAST_SUCCESSFUL_TIME: int = fmi2LastSuccessfulTime
+
+LOG_LINES = 100
+"""How many of the latest lines that an instance logged are kept."""
+
+STATUS_NAMES = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
+
+_lock = threading.RLock()
+
+
+# --- files ----------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class File:
+    """An FMU file that has been read; compared by identity.
+
+    Attributes:
+        model: FMPy's `ModelDescription`.
+        implementations: what the file says of each interface that can be used here.
+        library_folder: name of the folder under `binaries/` for this platform, or None.
+    """
+
+    archive: Archive
+    model: Any
+    implementations: Mapping[Interface, Any]
+    library_folder: str | None
+
+    @property
+    def fmi(self) -> int:
+        """Major version of the standard."""
+        return int(self.model.fmiMajorVersion)
+
+
+def read(path: Path) -> File:
+    """The file, read again only if it changed."""
+    try:
+        status = path.stat()
+    except OSError:
+        inspect(path)  # says what is wrong
+        raise
+    with _lock:
+        return _read_version(path.absolute(), status.st_mtime_ns, status.st_size)
+
+
+@functools.lru_cache(maxsize=256)
+def _read_version(path: Path, _mtime_ns: int, _size: int) -> File:
+    archive = inspect(path)
+    if "modelDescription.xml" not in archive.names:
+        raise refuse(path, "is not an FMU: it holds no modelDescription.xml")
+    model = _read_model(path)
+    needing_tool = []
+    implementations = {}
+    for interface, implementation in (
+        (Interface.MODEL_EXCHANGE, model.modelExchange),
+        (Interface.CO_SIMULATION, model.coSimulation),
+    ):
+        if implementation is None:
+            continue
+        if implementation.needsExecutionTool:
+            needing_tool.append(interface)
+        else:
+            implementations[interface] = implementation
+    if needing_tool and not implementations:
+        tool = model.generationTool or "the tool that made it"
+        raise refuse(path, f"only works together with {tool} (needsExecutionTool); export it without that need")
+    if not implementations:
+        raise refuse(path, "offers neither Model Exchange nor Co-Simulation")
+    return File(archive, model, implementations, _library_folder(archive, model, implementations))
+
+
+def _read_model(path: Path) -> Any:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            xml = archive.read("modelDescription.xml")
+        _, root = next(ElementTree.iterparse(io.BytesIO(xml), ("start",)))  # noqa: S314 - expat limits entities itself
+    except (ElementTree.ParseError, zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, StopIteration) as error:
+        raise refuse(path, f"has a broken modelDescription.xml: {error}") from error
+    version = root.get("fmiVersion")
+    if root.tag != "fmiModelDescription" or version is None:
+        raise refuse(path, "has a broken modelDescription.xml: it does not say which version of FMI it follows")
+    if version != "2.0" and not version.startswith("3."):
+        raise refuse(path, f"is an FMU of FMI {version}; export it for FMI 2.0 or 3.0")
+    alone = io.BytesIO()  # FMPy reads archives only, and would leave the file open when it fails
+    with zipfile.ZipFile(alone, "w") as archive:
+        archive.writestr("modelDescription.xml", xml)
+    try:
+        return read_model_description(alone, validate=False)
+    except Exception as error:  # FMPy raises whatever the first missing attribute leads to
+        raise refuse(path, f"has a broken modelDescription.xml: {_first_problem(alone) or error}") from error
+
+
+def _first_problem(file: io.BytesIO) -> str:
+    """What the schema has to say about a description that FMPy cannot read; empty if that is nothing."""
+    try:
+        read_model_description(file, validate=True)
+    except ValidationError as invalid:
+        return str(invalid.problems[0])
+    except Exception:  # the same as before
+        return ""
+    return ""
+
+
+def _library_folder(archive: Archive, model: Any, implementations: Mapping[Interface, Any]) -> str | None:
+    """FMI 2.0 names the platform `linux64`, FMI 3.0 `x86_64-linux`, which some use in FMI 2.0 too."""
+    folders = (fmpy.platform_tuple,) if int(model.fmiMajorVersion) == 3 else (fmpy.platform, fmpy.platform_tuple)
+    libraries = {x.modelIdentifier + fmpy.sharedLibraryExtension for x in implementations.values()}
+    names = set(archive.names)
+    return next((f for f in folders if all(f"binaries/{f}/{library}" in names for library in libraries)), None)
+
+
+# --- libraries ------------------------------------------------------------------------------------------------------
+@functools.cache
+def _unpacked(file: File) -> Path:
+    """The binaries for this platform and the resources; documentation and sources stay packed."""
+
+    def wanted(name: str) -> bool:
+        parts = PurePosixPath(name).parts
+        return parts[:1] == ("resources",) or parts[:2] == ("binaries", file.library_folder)
+
+    return unpack(file.archive, wanted)
+
+
+def _load(file: File, interface: Interface) -> Any:
+    """FMPy's object around a freshly loaded library."""
+    once = file.implementations[interface].canBeInstantiatedOnlyOncePerProcess
+    folder = _unpacked.__wrapped__(file) if once else _unpacked(file)  # a copy of its own for every such instance
+    identifier = file.implementations[interface].modelIdentifier
+    library = folder / "binaries" / str(file.library_folder) / (identifier + fmpy.sharedLibraryExtension)
+    arguments = {"guid": file.model.guid, "modelIdentifier": identifier, "unzipDirectory": str(folder)}
+    if file.fmi == 2:
+        arguments["libraryPath"] = str(library)
+    working_directory = Path.cwd()
+    try:
+        fmu = _CLASSES[file.fmi, interface](**arguments)
+    finally:
+        os.chdir(working_directory)  # FMPy changes it, and does not come back if loading fails
+    if os.name == "nt":  # a loaded library could not be removed
+        import atexit
+
+        atexit.register(fmu.freeLibrary)
+    return fmu
+
+
+_CLASSES = {
+    (2, Interface.MODEL_EXCHANGE): FMU2Model,
+    (2, Interface.CO_SIMULATION): FMU2Slave,
+    (3, Interface.MODEL_EXCHANGE): FMU3Model,
+    (3, Interface.CO_SIMULATION): FMU3Slave,
+}
+
+_cached_load = functools.cache(_load)
+
+
+def open_library(file: File, interface: Interface) -> Any:
+    """FMPy's object, ready to be instantiated. Its constructor costs a millisecond, a copy of it next to nothing."""
+    with _lock:
+        if file.implementations[interface].canBeInstantiatedOnlyOncePerProcess:
+            return _load(file, interface)
+        return copy.copy(_cached_load(file, interface))
+
+
+# --- logging --------------------------------------------------------------------------------------------------------
+def status_name(status: int) -> str:
+    """What the standard calls a status."""
+    return STATUS_NAMES[status] if 0 <= status < len(STATUS_NAMES) else str(status)
+
+
+class Log:
+    """The latest lines that one instance logged."""
+
+    def __init__(self) -> None:
+        self.lines: deque[str] = deque(maxlen=LOG_LINES)
+
+    @property
+    def last(self) -> str | None:
+        return self.lines[-1] if self.lines else None
+
+    def add(self, status: int, message: bytes | None) -> None:
+        """Called by the FMU, from native code: must not raise."""
+        text = (message or b"").decode(errors="replace").strip()
+        self.lines.append(f"[{status_name(status)}] {text}")
+
+
+_logs: weakref.WeakValueDictionary[int, Log] = weakref.WeakValueDictionary()
+_log_numbers = itertools.count(1)
+
+
+def _receive_fmi2(environment: int | None, _name: bytes, status: int, _category: bytes, message: bytes) -> None:
+    log = _logs.get(environment or 0)
+    if log is not None:
+        log.add(status, message)
+
+
+_fmi2_logger = fmi2CallbackLoggerTYPE(_receive_fmi2)
+
+
+def fmi2_callbacks(log: Log) -> Any:
+    """Callbacks that lead to `log`. FMPy's proxy formats the variadic message; it knows one receiver per process."""
+    number = next(_log_numbers)
+    _logs[number] = log
+    callbacks = fmi2CallbackFunctions()
+    callbacks.logger = _fmi2_logger
+    callbacks.allocateMemory = defaultCallbacks.allocateMemory
+    callbacks.freeMemory = defaultCallbacks.freeMemory
+    callbacks.componentEnvironment = number
+    with contextlib.suppress(ImportError, OSError):  # no proxy for this platform: messages keep their placeholders
+        from fmpy.logging import addLoggerProxy
+
+        addLoggerProxy(ctypes.byref(callbacks))
+    return callbacks
