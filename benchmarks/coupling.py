@@ -21,12 +21,12 @@ from typing import cast
 import numpy as np
 
 import fmus
-from cosim.component import Component, Floats
+from cosim.components.component import Component, Floats
+from cosim.components.fmu import FmuComponent
+from cosim.components.opening import describe, open_components
 from cosim.coupling import LoopState, PythonLoop
-from cosim.fmu import FmuComponent
 from cosim.kernel import NativeLoop
 from cosim.mailbox import Updates
-from cosim.opening import describe, open_components
 from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, MailboxPlan, Method, Port
 from cosim.wiring import wire
 from fmus.build import ROOT, compile_shared, library_suffix

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from cosim.component import Component, Floats
+from cosim.components.component import Component, Floats
 from cosim.coupling import LoopState, PythonLoop
 from cosim.errors import ComponentError, RunError
 from cosim.mailbox import Mailbox, Updates

@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from cosim.agent import Agent
-from cosim.opening import open_components
+from cosim.components.opening import open_components
 from cosim.plan import AgentPlan, ComponentPlan, CouplingPlan, Loop, Method, Plan
 from cosim.scenario.names import in_short
 from cosim.theory import mu, published_bound

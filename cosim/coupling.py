@@ -24,7 +24,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.component import Component, Floats
+from cosim.components.component import Component, Floats
 from cosim.errors import ComponentError
 from cosim.mailbox import Updates
 from cosim.plan import CouplingPlan, Integrator, Method

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from cosim.agent import Agent
-from cosim.component import Floats
+from cosim.components.component import Floats
+from cosim.components.opening import open_components
 from cosim.master import Emulate, Finish, Master
-from cosim.opening import open_components
 from cosim.plan import Plan
 from network.emulator import Emulator
 from network.messages import Fates

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from cosim.component import Description, Value, Variable
+from cosim.components.component import Description, Value, Variable
 from network.channel import ChannelModel
 from network.messages import Links, MessageLayout
 from network.units import to_seconds

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NoReturn, Self
 
 import numpy as np
 
-from cosim.component import Floats
+from cosim.components.component import Floats
 from cosim.plan import Plan
 from network.messages import Fates
 

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
-from cosim.component import Floats
+from cosim.components.component import Floats
 from cosim.errors import CosimError, RunError
 from cosim.inline import Interrupted, run
 from cosim.plan import Plan

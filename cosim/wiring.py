@@ -14,7 +14,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.component import Variable
+from cosim.components.component import Variable
 from cosim.plan import AgentPlan, Method, Port
 from network.messages import NEVER, MessageLayout
 

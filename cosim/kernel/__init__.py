@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.component import Component, Interface, Variable
+from cosim.components.component import Component, Interface, Variable
 from cosim.errors import ComponentError, ConfigError, Problem
 from cosim.kernel import layout
 from cosim.kernel.layout import Reason
@@ -21,8 +21,8 @@ from cosim.plan import CouplingPlan
 from network.units import to_seconds
 
 if TYPE_CHECKING:
+    from cosim.components.fmu import FmuComponent, Native
     from cosim.coupling import LoopState
-    from cosim.fmu import FmuComponent, Native
     from cosim.mailbox import Updates
     from cosim.wiring import Transfer, Wiring
 
@@ -165,7 +165,7 @@ def _updates(updates: Updates) -> layout.Updates:
 
 
 def _only_fmus(components: Sequence[Component]) -> list[FmuComponent]:
-    from cosim.fmu import FmuComponent
+    from cosim.components.fmu import FmuComponent
 
     fmus = [component for component in components if isinstance(component, FmuComponent)]
     if len(fmus) != len(components):

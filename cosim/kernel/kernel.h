@@ -14,7 +14,7 @@
 
 #define NANOSECONDS_PER_SECOND 1e9
 #define EVENT_ITERATIONS 100          /* as in cosim/coupling.py */
-#define DISCRETE_STATE_ITERATIONS 100 /* as in cosim/fmu/component.py */
+#define DISCRETE_STATE_ITERATIONS 100 /* as in cosim/components/fmu/component.py */
 #define STAGES 7                      /* of the Dormand-Prince pair; Runge-Kutta 4 needs four */
 
 typedef enum { RK4, DORMAND_PRINCE } Integrator;

@@ -1,6 +1,6 @@
 /* Moving values between the signals, which are doubles, and the components' variables of any numeric type.
  *
- * Conversions are those of cosim/fmu/values.py: integers to the nearest within the range of the type, Booleans by being
+ * Conversions are those of cosim/components/fmu/values.py: integers to the nearest within the range of the type, Booleans by being
  * non-zero.
  */
 #include "fmi_calls.h"

@@ -8,11 +8,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from cosim.component import Variable
+from cosim.components.component import Variable
 from cosim.errors import Problem
 from cosim.plan import AgentPlan, AnalysisPlan, ComponentPlan, MailboxPlan, Method, Plan
 from cosim.planning.analysis import Member, plan_analysis
 from cosim.planning.blueprint import Blueprint, draw_up
+from cosim.planning.coupling import warn_of_order
 from cosim.planning.describing import Describer
 from cosim.planning.graph import Edge, links_of, resolve_edges
 from cosim.planning.mailbox import mailbox_of, message_variables
@@ -83,7 +84,7 @@ def plan(scenario: Scenario) -> Planned:
     add_warnings(scenario, edges, analysis.leaders, problems)
     layout = MessageLayout(tuple(message), tuple(variable.size for variable in message.values() if variable))
     agents = tuple(_agents(members, blueprints, mailboxes, edges, layout))
-    _check_loops(agents, blueprints, layout, problems)
+    _check_feedthrough(agents, blueprints, layout, problems)
     problems.raise_if_any()
     used = {edge.channel for edge in edges}
     planned = Plan(
@@ -195,15 +196,17 @@ def _components(agent: str, blueprint: Blueprint, seed: int) -> Iterable[Compone
         yield ComponentPlan(part.name, part.origin.path, part.origin.python, part.description, start)
 
 
-def _check_loops(
+def _check_feedthrough(
     agents: Iterable[AgentPlan], blueprints: Mapping[str, Blueprint], layout: MessageLayout, problems: Problems
 ) -> None:
-    """No outputs and inputs that feed each other directly, of agents that are integrated jointly."""
+    """`joint` cannot have outputs and inputs that feed each other directly; `midpoint` wants them in order."""
     firsts = {id(blueprints[agent.name]): agent for agent in reversed(list(agents))}
     for agent in firsts.values():
-        if agent.coupling.method is not Method.JOINT:
-            continue
-        try:
-            wire(agent, layout)
-        except AlgebraicLoopError as error:
-            problems.error(str(error), blueprints[agent.name].where("connections"))
+        where = blueprints[agent.name].where("connections")
+        if agent.coupling.method is Method.MIDPOINT:
+            warn_of_order(agent, where, problems)
+        elif agent.coupling.method is Method.JOINT:
+            try:
+                wire(agent, layout)
+            except AlgebraicLoopError as error:
+                problems.error(str(error), where)

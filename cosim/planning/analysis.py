@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.component import Value, Variable
+from cosim.components.component import Value, Variable
 from cosim.errors import Location, suggest
 from cosim.plan import AnalysisPlan, ComponentPlan, Port
 from cosim.planning.problems import Problems

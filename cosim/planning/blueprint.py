@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from cosim.component import Description, Value, Variable
+from cosim.components.component import Description, Value, Variable
 from cosim.errors import Location, suggest
 from cosim.plan import Connection, CouplingPlan, Port
 from cosim.planning.coupling import choose_coupling

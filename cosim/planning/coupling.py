@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from cosim.component import Description, Interface
+from cosim.components.component import Description, Interface
 from cosim.errors import Location
-from cosim.plan import CouplingPlan, Integrator, Loop, Method
+from cosim.plan import AgentPlan, CouplingPlan, Integrator, Loop, Method
 from cosim.planning.problems import Problems
 from cosim.scenario.reading import AgentEntry
 from cosim.scenario.source import Node
@@ -73,6 +73,24 @@ def _warn(
                 f"{name!r} accepts steps of one length only; it may refuse one that an arrival between ticks cuts",
                 where,
             )
+
+
+def warn_of_order(agent: AgentPlan, where: Location, problems: Problems) -> None:
+    """`midpoint` is of order 2 if what feeds straight through a component steps before it, in the order of the file."""
+    for feed in agent.connections:
+        reader = feed.target.component
+        if feed.source.component <= reader:
+            continue
+        outputs = {x.source.variable.name: x.source for x in agent.connections if x.source.component == reader}
+        for output in outputs.values():
+            if feed.target.variable.name in (output.variable.dependencies or ()):
+                first, second = agent.components[feed.source.component].name, agent.components[reader].name
+                problems.warning(
+                    f"'midpoint' falls to order 1 here: '{second}.{output.variable.name}' depends directly on "
+                    f"'{first}.{feed.source.variable.name}', and {first!r} steps later; "
+                    f"list {first!r} before {second!r}",
+                    where,
+                )
 
 
 def _loop(spec: CouplingSpec, node: Node, descriptions: Mapping[str, Description], problems: Problems) -> Loop:

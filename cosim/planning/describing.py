@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from cosim.component import Description
+from cosim.components.component import Description
 from cosim.errors import ConfigError, Location, suggest
 from cosim.planning.problems import Problems
 from cosim.scenario.reading import Scenario
@@ -66,7 +66,7 @@ class Describer:
         return found
 
     def _open(self, origin: Origin, structural: Mapping[str, int]) -> Description | str:
-        from cosim import opening
+        from cosim.components import opening
 
         try:
             return opening.describe(origin.path, origin.python, structural)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from cosim.component import Variable, head
+from cosim.components.component import Variable, head
 from cosim.errors import Location, suggest
 from cosim.plan import MailboxPlan, Port
 from cosim.planning.blueprint import Blueprint, Part

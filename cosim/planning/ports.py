@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from cosim.component import Description, Variable
+from cosim.components.component import Description, Variable
 from cosim.errors import Location, suggest
 from cosim.plan import Port
 from cosim.planning.problems import Problems

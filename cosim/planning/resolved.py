@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from cosim.component import Value, Variable
+from cosim.components.component import Value, Variable
 from cosim.plan import AgentPlan, Loop
 from cosim.planning.blueprint import Blueprint
 from cosim.planning.describing import is_file

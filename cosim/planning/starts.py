@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
-from cosim.component import Value, Variable
+from cosim.components.component import Value, Variable
 from cosim.errors import suggest
 from cosim.scenario.spec import Normal, Uniform
 from network.draws import initial_normal, initial_uniform

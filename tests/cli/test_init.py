@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from cosim import cli
-from cosim.scenario import configs
 from cosim.planning import load
+from cosim.scenario import configs
 from tests.cli.conftest import Cosim
 
 

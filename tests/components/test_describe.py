@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import fmus
-from cosim.component import Interface, Variable, head
+from cosim.components.component import Interface, Variable, head
+from cosim.components.fmu import describe
 from cosim.errors import ConfigError
-from cosim.fmu import describe
 from tests.components.probe import FAILS, TYPES, description2, description3, write_fmu
 
 BOTH = (Interface.MODEL_EXCHANGE, Interface.CO_SIMULATION)

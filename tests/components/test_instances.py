@@ -16,9 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import fmus
-from cosim.component import Interface, Value
+from cosim.components.component import Interface, Value
+from cosim.components.fmu import FmuComponent, describe, library, open_fmu
 from cosim.errors import ComponentError, ConfigError
-from cosim.fmu import FmuComponent, describe, library, open_fmu
 from tests.components.probe import TYPES, description2, description3, write_fmu
 
 ME, CS = Interface.MODEL_EXCHANGE, Interface.CO_SIMULATION
@@ -364,8 +364,8 @@ SCRIPT = """
 import sys, tempfile
 from pathlib import Path
 import fmus
-from cosim.component import Interface
-from cosim.fmu import describe, open_fmu
+from cosim.components.component import Interface
+from cosim.components.fmu import describe, open_fmu
 path = fmus.path("TwoLinkArm")
 components = [open_fmu("arm", path, Interface.CO_SIMULATION, describe(path)) for _ in range(3)]
 (folder,) = Path(tempfile.gettempdir()).glob("cosim-*")

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 import fmus
-from cosim.component import Floats
+from cosim.components.component import Floats
+from cosim.components.opening import describe, open_components
+from cosim.components.python import Input, Output, PythonComponent, State
 from cosim.coupling import LoopState, PythonLoop
 from cosim.mailbox import Updates
-from cosim.opening import describe, open_components
 from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, Integrator, MailboxPlan, Method, Port
-from cosim.python_component import Input, Output, PythonComponent, State
 from cosim.wiring import wire
 from network.messages import MessageLayout
 
@@ -110,7 +110,7 @@ def recorded(plan: AgentPlan, ticks: int) -> Floats:
 @pytest.mark.parametrize("integrator", list(Integrator))
 def test_python_components_alone(integrator: Integrator) -> None:
     """x' = 2 sin t - x has the solution sin t - cos t + exp(-t)."""
-    components = (component("sine", "cosim.library:Sine"), component("lag", "mixed_agent:Lag"))
+    components = (component("sine", "cosim.components.library:Sine"), component("lag", "mixed_agent:Lag"))
     coupling = CouplingPlan(Method.JOINT, 5_000_000, integrator)
     rows = recorded(agent(components, [(0, "phi", 1, "u")], coupling, [(1, "x"), (1, "sampled")]), ticks=9)
     t: Floats = np.linspace(0.0, 0.9, 10)

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 import fmus
-from cosim.component import Component, Interface, Value
+from cosim.components.component import Component, Interface, Value
+from cosim.components.fmu import FmuComponent
+from cosim.components.opening import describe, open_components
 from cosim.errors import RunError
-from cosim.fmu import FmuComponent
-from cosim.opening import describe, open_components
 from cosim.plan import AgentPlan, ComponentPlan, CouplingPlan, MailboxPlan, Method
 
 
@@ -31,7 +31,7 @@ def agent(*components: ComponentPlan, method: Method = Method.JOINT) -> AgentPla
 
 
 def sine() -> ComponentPlan:
-    name = "cosim.library:Sine"
+    name = "cosim.components.library:Sine"
     return ComponentPlan("sine", None, name, describe(None, name, {}), {"amplitude": (3.0,)})
 
 

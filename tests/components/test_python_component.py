@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.component import Interface
-from cosim.errors import ComponentError, ConfigError
-from cosim.python_component import (
+from cosim.components.component import Interface
+from cosim.components.python import (
     Input,
     Output,
     Parameter,
@@ -24,6 +23,7 @@ from cosim.python_component import (
     describe_python,
     load,
 )
+from cosim.errors import ComponentError, ConfigError
 
 ME, CS = Interface.MODEL_EXCHANGE, Interface.CO_SIMULATION
 
@@ -274,8 +274,8 @@ def test_inputs_of_whole_numbers_are_rounded() -> None:
 # --- the library ----------------------------------------------------------------------------------------------------
 def opened_hold(count: int = 2, width: int = 1) -> PythonInstance:
     sizes = {"count": count, "width": width}
-    description = describe_python("cosim.library:Hold", sizes)
-    c = PythonInstance("hold", "cosim.library:Hold", ME, description)
+    description = describe_python("cosim.components.library:Hold", sizes)
+    c = PythonInstance("hold", "cosim.components.library:Hold", ME, description)
     for name, size in sizes.items():
         c.start(description.variables[name], (size,))
     c.enter_initialization(0.0, 1.0)
@@ -298,7 +298,7 @@ def test_hold_without_neighbours() -> None:
 
 
 def test_sine() -> None:
-    c = PythonInstance("s", "cosim.library:Sine", CS, describe_python("cosim.library:Sine"))
+    c = PythonInstance("s", "cosim.components.library:Sine", CS, describe_python("cosim.components.library:Sine"))
     c.enter_initialization(0.0, 1.0)
     c.exit_initialization()
     c.step(0.0, 0.75)
@@ -353,11 +353,14 @@ def refusal(name: str) -> str:
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("cosim.library", "'cosim.library' names no Python class; write package.module:Class"),
-        ("cosim.libary:Sine", "there is no Python module 'cosim.libary' (did you mean 'cosim.library'?)"),
+        ("cosim.components.library", "'cosim.components.library' names no Python class; write package.module:Class"),
+        (
+            "cosim.components.libary:Sine",
+            "there is no Python module 'cosim.components.libary' (did you mean 'cosim.components.library'?)",
+        ),
         ("cosmi.library:Sine", "there is no Python module 'cosmi' (did you mean 'cosim'?)"),
-        ("cosim.library:Sin", "module cosim.library has no class 'Sin' (did you mean 'Sine'?)"),
-        ("cosim.library:math", "cosim.library:math is no component: derive it from"),
+        ("cosim.components.library:Sin", "module cosim.components.library has no class 'Sin' (did you mean 'Sine'?)"),
+        ("cosim.components.library:math", "cosim.components.library:math is no component: derive it from"),
         ("decimal:Decimal", "decimal:Decimal is no component: derive it from"),
     ],
 )
@@ -399,6 +402,6 @@ def test_a_module_that_cannot_be_imported(
 def test_a_class_in_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
-    source = "from cosim.python_component import PythonComponent\nclass Mine(PythonComponent): pass\n"
+    source = "from cosim.components.python import PythonComponent\nclass Mine(PythonComponent): pass\n"
     (tmp_path / "module_of_mine.py").write_text(source)
     assert load("module_of_mine:Mine").__name__ == "Mine"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cosim.component import Description, Interface, Variable
+from cosim.components.component import Description, Interface, Variable
 from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, MailboxPlan, Method, Port
 from cosim.wiring import AlgebraicLoopError, Direction, wire
 from network.messages import MessageLayout

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import fmus
-from cosim.component import Component, Value, Variable, head
+from cosim.components.component import Component, Value, Variable, head
+from cosim.components.opening import describe, open_components
 from cosim.coupling import LoopState, PythonLoop
 from cosim.kernel import NativeLoop
 from cosim.mailbox import Updates
-from cosim.opening import describe, open_components
 from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, Integrator, MailboxPlan, Method, Port
 from cosim.wiring import wire
 from network.messages import MessageLayout

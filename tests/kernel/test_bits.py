@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim.component import Variable
-from cosim.opening import describe
+from cosim.components.component import Variable
+from cosim.components.opening import describe
 from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, Integrator, MailboxPlan, Method, Port
 from network.messages import MessageLayout
 from tests.components.probe import TYPES

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.component import Interface
+from cosim.components.component import Interface
+from cosim.components.python import PythonInstance, describe_python
 from cosim.errors import ComponentError, ConfigError
 from cosim.kernel import NativeLoop, layout
 from cosim.plan import AgentPlan, CouplingPlan, Integrator, Method
-from cosim.python_component import PythonInstance, describe_python
 from fmus import build
 from network.messages import MessageLayout
 from tests.kernel.agents import T_NS, Case, LiveAgent, live, updates
@@ -133,7 +133,9 @@ def test_an_ended_agent_cannot_advance() -> None:
 def test_python_components_need_the_python_loop(probes: dict[int, Path]) -> None:
     plan = probe_pair([probes[3]] * 2, [], STEPS)
     agent = LiveAgent(plan, native=False, layout=NO_MESSAGES)
-    sine = PythonInstance("s", "cosim.library:Sine", Interface.CO_SIMULATION, describe_python("cosim.library:Sine"))
+    sine = PythonInstance(
+        "s", "cosim.components.library:Sine", Interface.CO_SIMULATION, describe_python("cosim.components.library:Sine")
+    )
     with pytest.raises(ConfigError, match="loop: python"):
         NativeLoop(agent.wiring, [agent.components[0], sine], STEPS, agent.state)
     for component in agent.components:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.component import Description, Interface, Variable
+from cosim.components.component import Description, Interface, Variable
 from cosim.plan import AgentPlan, AnalysisPlan, ComponentPlan, CouplingPlan, MailboxPlan, Method, Plan, Port
 from cosim.recording.recorder import Recorder
 from network.channel import ChannelModel

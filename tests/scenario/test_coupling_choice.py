@@ -2,7 +2,7 @@
 
 import pytest
 
-from cosim.component import Description, Interface
+from cosim.components.component import Description, Interface
 from cosim.errors import ConfigError, Severity
 from cosim.plan import CouplingPlan, Loop, Method
 from cosim.planning.coupling import choose_coupling

@@ -107,7 +107,7 @@ WHAT_IT_MEANS: dict[str, tuple[Change, str]] = {
         "there is no Python module 'cosim.libary'",
     ),
     "Python class": (
-        ("fmu: TwoLinkArm\n", "python: §cosim.library:Sin\n"),
+        ("fmu: TwoLinkArm\n", "python: §cosim.components.library:Sin\n"),
         "has no class 'Sin' (did you mean 'Sine'?)",
     ),
     "start of nothing": (("role: follower", "§rol: follower"), "no variable 'rol' (did you mean 'role'?)"),
@@ -347,7 +347,8 @@ def test_who_is_heard_must_publish(tmp_path: Path) -> None:
 )
 def test_all_messages_are_alike(tmp_path: Path, message: str, sentence: str) -> None:
     other = (
-        "  4:\n    components: {plant: {fmu: TwoLinkArm, start: {u: 0}}, source: {python: 'cosim.library:Sine'}}\n"
+        "  4:\n    components: {plant: {fmu: TwoLinkArm, start: {u: 0}}, "
+        "source: {python: 'cosim.components.library:Sine'}}\n"
         f"    publish: {message}\n    record: []\n"
     )
     text = changed(("coupling:", f"{other}coupling:"), ("- 2 -> 1", "- 2 -> 1\n    - 4 -> 1"))
@@ -390,7 +391,7 @@ period: 100 ms
 duration: 1 s
 agents:
   a:
-    components: {one: {python: 'cosim.library:Hold'}, two: {python: 'cosim.library:Hold'}}
+    components: {one: {python: 'cosim.components.library:Hold'}, two: {python: 'cosim.components.library:Hold'}}
     connections: §
       - one.value -> two.values
       - two.value -> one.values

@@ -276,6 +276,17 @@ def test_warnings(tmp_path: Path, changes: list[tuple[str, str]], sentences: lis
         assert sentence in warning
 
 
+def test_midpoint_wants_the_plant_before_its_controller(tmp_path: Path) -> None:
+    components = BASE[BASE.index("      plant:") : BASE.index("    connections:")]
+    plant, controller = components.split("      controller:")
+    midpoint = ("{method: joint, step: 5 ms}", "{method: midpoint, step: 1 ms}")
+    assert planned(tmp_path, changed(midpoint)).warnings == ()
+    swapped = changed(midpoint, (components, f"      controller:{controller}{plant}"))
+    for warning, variable in zip(planned(tmp_path, swapped).warnings, ("plant.p", "plant.v"), strict=True):
+        assert f"'controller.u' depends directly on '{variable}'" in warning.message
+        assert "list 'plant' before 'controller'" in warning.message
+
+
 def test_an_agent_without_receive_is_deaf(tmp_path: Path) -> None:
     text = changed(
         ("coupling:", "  4: {components: {plant: {fmu: TwoLinkArm, start: {u: 0}}}}\ncoupling:"),

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.component import Variable
+from cosim.components.component import Variable
 from cosim.planning.starts import draw, elements, is_settable
 from cosim.scenario.spec import Normal, Uniform
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.component import Value, Variable
+from cosim.components.component import Value, Variable
 
 _FMI2_TYPES = {"Real": "Float64", "Integer": "Int32"}
 _ELEMENT = re.compile(r"(?P<name>.+)\[(?P<indices>\d+(?:, ?\d+)*)\]")

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.component import Component, Description, Floats, Interface, Value, Variable
-from cosim.errors import ComponentError
-from cosim.fmu.library import (
+from cosim.components.component import Component, Description, Floats, Interface, Value, Variable
+from cosim.components.fmu.library import (
     LAST_SUCCESSFUL_TIME,
     File,
     FMICallException,
@@ -22,9 +21,10 @@ from cosim.fmu.library import (
     open_library,
     status_name,
 )
-from cosim.fmu.values import FMI2_TYPES, FMI3_TYPES, Buffer
-from cosim.fmu.variables import fmi3_shape
-from cosim.start_values import start_values
+from cosim.components.fmu.values import FMI2_TYPES, FMI3_TYPES, Buffer
+from cosim.components.fmu.variables import fmi3_shape
+from cosim.components.start_values import start_values
+from cosim.errors import ComponentError
 
 DISCRETE_STATE_ITERATIONS = 100
 """How often an FMU may ask for another update of its discrete states at one instant."""

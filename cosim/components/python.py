@@ -20,9 +20,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cosim.component import Component, Description, Floats, Interface, Value, Variable
+from cosim.components.component import Component, Description, Floats, Interface, Value, Variable
+from cosim.components.start_values import start_values
 from cosim.errors import ComponentError, ConfigError, Problem, suggest
-from cosim.start_values import start_values
 
 _ARRAY_TYPES: dict[str, Any] = {
     "Float64": np.float64,
@@ -302,7 +302,7 @@ def load(dotted: str) -> type[PythonComponent]:
     ]
     if cls is None:
         raise _refuse(f"module {module_name} has no class {class_name!r}{suggest(class_name, components)}")
-    raise _refuse(f"{dotted} is no component: derive it from cosim.python_component.PythonComponent")
+    raise _refuse(f"{dotted} is no component: derive it from cosim.components.python.PythonComponent")
 
 
 def _refuse(message: str) -> ConfigError:

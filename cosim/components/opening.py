@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from cosim.component import Component, Description, Interface
+from cosim.components.component import Component, Description, Interface
 from cosim.errors import ComponentError, RunError
 from cosim.plan import AgentPlan, ComponentPlan, Method
 
@@ -22,10 +22,10 @@ def describe(path: Path | None, python: str | None, structural: Mapping[str, int
         ConfigError: it cannot be used; the message says why.
     """
     if path is not None:
-        from cosim import fmu
+        from cosim.components import fmu
 
         return fmu.describe(path, structural)
-    from cosim.python_component import describe_python
+    from cosim.components.python import describe_python
 
     return describe_python(python or "", structural)
 
@@ -56,10 +56,10 @@ def open_components(plan: AgentPlan) -> list[Component]:
 
 def _open(plan: ComponentPlan, interface: Interface) -> Component:
     if plan.path is not None:
-        from cosim.fmu import open_fmu
+        from cosim.components.fmu import open_fmu
 
         return open_fmu(plan.name, plan.path, interface, plan.description)
-    from cosim.python_component import PythonInstance
+    from cosim.components.python import PythonInstance
 
     return PythonInstance(plan.name, plan.python or "", interface, plan.description)
 

@@ -24,8 +24,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from xml.etree import ElementTree
 
-from cosim.component import Interface
-from cosim.fmu.archive import Archive, inspect, refuse, unpack
+from cosim.components.component import Interface
+from cosim.components.fmu.archive import Archive, inspect, refuse, unpack
 
 with contextlib.redirect_stdout(io.StringIO()):  # where FMPy has no logger for the platform, it prints so
     import fmpy

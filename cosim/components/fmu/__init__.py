@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from cosim.component import Description, Interface
+from cosim.components.component import Description, Interface
+from cosim.components.fmu.archive import refuse
+from cosim.components.fmu.component import Fmi2Component, Fmi3Component, FmuComponent, Native
+from cosim.components.fmu.library import PLATFORM, read
+from cosim.components.fmu.variables import fmi2_variables, fmi3_variables
 from cosim.errors import ComponentError
-from cosim.fmu.archive import refuse
-from cosim.fmu.component import Fmi2Component, Fmi3Component, FmuComponent, Native
-from cosim.fmu.library import PLATFORM, read
-from cosim.fmu.variables import fmi2_variables, fmi3_variables
 
 __all__ = ["FmuComponent", "Native", "describe", "open_fmu"]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.component import Floats, Variable
+from cosim.components.component import Floats, Variable
 
 FMI2_TYPES: dict[str, tuple[str, Any]] = {
     "Float64": ("Real", np.float64),

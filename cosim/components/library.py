@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from cosim.python_component import Input, Output, Parameter, PythonComponent, Structural
+from cosim.components.python import Input, Output, Parameter, PythonComponent, Structural
 
 
 class Sine(PythonComponent):

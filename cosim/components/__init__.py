@@ -1,0 +1,1 @@
+"""What an agent consists of: FMUs and Python classes, behind one interface."""
