@@ -64,7 +64,7 @@ def plan(scenario: Scenario) -> Planned:
     Raises:
         ConfigError: everything that is wrong with it.
     """
-    problems = Problems()
+    problems = Problems(scenario.problems, scenario.doubts)
     ticks = _ticks(scenario, problems)
     edges = resolve_edges(scenario, problems)
     blueprints = _blueprints(scenario, edges, problems)
@@ -78,7 +78,7 @@ def plan(scenario: Scenario) -> Planned:
         for name, blueprint in blueprints.items()
     ]
     analysis = AnalysisPlan()
-    if len(members) == len(scenario.agents):
+    if len(members) == len(scenario.agents) and scenario.doubts.all_agents_known:
         analysis = plan_analysis(scenario, members, problems)
     problems.raise_if_any()
     add_warnings(scenario, edges, analysis.leaders, problems)

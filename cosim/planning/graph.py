@@ -69,7 +69,7 @@ def _pairs(scenario: Scenario, spec: EdgeSpec, node: Node, problems: Problems) -
 def _known(scenario: Scenario, text: str, where: Location, problems: Problems) -> list[str]:
     names = list(agent_names(text))
     for name in names:
-        if name not in scenario.agents:
+        if name not in scenario.agents and not scenario.doubts.about_agent(name):
             problems.error(f"unknown agent {name!r}{suggest(name, scenario.agents)}", where)
     return [name for name in names if name in scenario.agents]
 

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from cosim.errors import ConfigError, Location, Problem, Severity
+from cosim.scenario.mending import Doubts
 
 
 class Problems:
-    """Errors and warnings, each once, in the order of the file."""
+    """Errors and warnings, each once, in the order of the file.
 
-    def __init__(self) -> None:
-        self._found: dict[Problem, None] = {}
+    Args:
+        found: problems that are known already.
+        doubts: errors about this are left out.
+    """
+
+    def __init__(self, found: Iterable[Problem] = (), doubts: Doubts | None = None) -> None:
+        self._found: dict[Problem, None] = dict.fromkeys(found)
+        self._doubts = doubts or Doubts()
         self._view = 0
         self._reported: dict[Location, int] = {}
 
@@ -21,7 +30,7 @@ class Problems:
 
     def error(self, message: str, where: Location) -> None:
         """Something that must be mended before the scenario can run."""
-        if self._reported.setdefault(where, self._view) == self._view:
+        if not self._doubts.about(message) and self._reported.setdefault(where, self._view) == self._view:
             self._found[Problem(message, where)] = None
 
     def warning(self, message: str, where: Location) -> None:

@@ -10,13 +10,13 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from cosim.errors import ConfigError, Location, Problem, suggest
+from cosim.scenario.mending import Doubts, Step, cut
 from cosim.scenario.merging import Override, merge
 from cosim.scenario.names import agent_names
 from cosim.scenario.source import Node, read
 from cosim.scenario.spec import AgentSpec, ScenarioSpec
 
 Model = TypeVar("Model", bound=BaseModel)
-Step = str | int
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,8 @@ class Scenario:
         root: where each part of it was written.
         agents: by name, in the order of the file; agents that are written alike share one entry.
         label: what locations call the file.
+        problems: what is wrong with how it is written; the rest of the scenario is there, to be checked as well.
+        doubts: what is not there because of them.
     """
 
     path: Path
@@ -51,6 +53,8 @@ class Scenario:
     spec: ScenarioSpec
     root: Node
     agents: Mapping[str, AgentEntry]
+    problems: tuple[Problem, ...]
+    doubts: Doubts
 
     @property
     def name(self) -> str:
@@ -65,7 +69,7 @@ class Scenario:
 
 
 def read_scenario(path: Path, label: str | None = None, overrides: Sequence[Override] = ()) -> Scenario:
-    """The scenario in a file.
+    """The scenario in a file, as far as it has the right form.
 
     Args:
         path: the YAML file.
@@ -73,7 +77,7 @@ def read_scenario(path: Path, label: str | None = None, overrides: Sequence[Over
         overrides: applied in their order; those of agents win over every entry of the file.
 
     Raises:
-        ConfigError: everything that is wrong with how it is written.
+        ConfigError: it is no YAML, or so little of it has the right form that nothing else can be checked.
     """
     label = label or str(path)
     root = read(path, label)
@@ -86,14 +90,13 @@ def read_scenario(path: Path, label: str | None = None, overrides: Sequence[Over
             problems += error.problems
         if override.path[0] == "agents" and len(override.path) > 1:
             late.append((override.path[1], _nested(override)))
-    spec, found = validate(ScenarioSpec, root)
+    doubts = Doubts()
+    spec, root, found = _validate_in_part(ScenarioSpec, root, doubts)
     problems += found
-    if spec is None or problems:
+    if spec is None:
         raise ConfigError(_unique(problems))
-    agents, found = _merge_agents(root, late)
-    if found:
-        raise ConfigError(_unique(found))
-    return Scenario(path, label, spec, root, agents)
+    agents, found = _merge_agents(root, late, doubts)
+    return Scenario(path, label, spec, root, agents, tuple(_unique([*problems, *found])), doubts)
 
 
 def _nested(override: Override) -> Node:
@@ -104,8 +107,12 @@ def _nested(override: Override) -> Node:
     return node
 
 
-def _merge_agents(root: Node, late: Sequence[tuple[str, Node]]) -> tuple[dict[str, AgentEntry], list[Problem]]:
+def _merge_agents(
+    root: Node, late: Sequence[tuple[str, Node]], doubts: Doubts
+) -> tuple[dict[str, AgentEntry], list[Problem]]:
     """Every agent with what is written for it. Agents with the same entries are merged and validated once."""
+    if not doubts.all_agents_known:
+        return {}, []  # an entry is missing that may make others whole
     entries: dict[str, list[Node]] = {}
     agents = root.child("agents")
     for key, entry in [*(agents.mapping.items() if agents else ()), *late]:
@@ -117,14 +124,16 @@ def _merge_agents(root: Node, late: Sequence[tuple[str, Node]]) -> tuple[dict[st
     for name, own in entries.items():
         key_of_alike = tuple(id(entry) for entry in own)
         if key_of_alike not in known:
-            known[key_of_alike], found = _merge_agent(root, own)
+            known[key_of_alike], found = _merge_agent(root, own, doubts)
             problems += found
         if (entry_of_agent := known[key_of_alike]) is not None:
             merged[name] = entry_of_agent
+        else:
+            doubts.add_agent(name)
     return merged, problems
 
 
-def _merge_agent(root: Node, entries: Sequence[Node]) -> tuple[AgentEntry | None, list[Problem]]:
+def _merge_agent(root: Node, entries: Sequence[Node], doubts: Doubts) -> tuple[AgentEntry | None, list[Problem]]:
     node = entries[0]
     for entry in entries[1:]:
         node = merge(node, entry)
@@ -141,7 +150,7 @@ def _merge_agent(root: Node, entries: Sequence[Node]) -> tuple[AgentEntry | None
             return None, [Problem("a template cannot start from another template", at)]
     if (coupling := root.child("coupling")) is not None:
         node = merge(Node({"coupling": coupling}, node.where, node.key), node)
-    spec, problems = validate(AgentSpec, node)
+    spec, node, problems = _validate_in_part(AgentSpec, node, doubts)
     return (AgentEntry(spec, node, str(name.value) if name is not None else None) if spec else None), problems
 
 
@@ -153,32 +162,71 @@ def _unique(problems: Iterable[Problem]) -> list[Problem]:
 # --- pydantic's errors as sentences -----------------------------------------------------------------------------------
 
 
-def validate(model: type[Model], node: Node) -> tuple[Model | None, list[Problem]]:
+@dataclass(frozen=True)
+class _Mistake:
+    """Something of the wrong form.
+
+    Attributes:
+        problem: what the user reads.
+        path: where it is.
+        known: keys that there may be in its place.
+    """
+
+    problem: Problem
+    path: tuple[Step, ...]
+    known: tuple[str, ...] = ()
+
+
+_MOST_CUTS = 20
+
+
+def _validate_in_part(model: type[Model], node: Node, doubts: Doubts) -> tuple[Model | None, Node, list[Problem]]:
+    """The model of what has the right form in a tree, that part of the tree, and everything wrong with the rest."""
+    problems: list[Problem] = []
+    for attempt in range(_MOST_CUTS):
+        spec, mistakes = _validate(model, node)
+        if not attempt:
+            problems = _unique(mistake.problem for mistake in mistakes)
+        if spec is not None:
+            return spec, node, problems
+        for mistake in sorted(mistakes, key=lambda mistake: _last_first(mistake.path)):
+            if (smaller := cut(node, mistake.path)) is None:
+                return None, node, problems
+            node, path = smaller
+            doubts.add(path, mistake.known)
+    return None, node, problems
+
+
+def _last_first(path: Sequence[Step]) -> list[tuple[int, str]]:
+    """Sorts elements of a list from the last to the first, so that cutting one does not move the next."""
+    return [(-step, "") if isinstance(step, int) else (0, step) for step in path]
+
+
+def _validate(model: type[Model], node: Node) -> tuple[Model | None, list[_Mistake]]:
     """The model of a tree, or everything that is wrong with it."""
     try:
         return model.model_validate(node.plain()), []
     except ValidationError as error:
         details = error.errors(include_url=False)
         schema = model.model_json_schema(by_alias=True)
-        return None, _unique(_problem(detail, node, schema) for detail in details)
+        return None, [_mistake(detail, node, schema) for detail in details]
 
 
-def _problem(detail: Mapping[str, Any], node: Node, schema: Mapping[str, Any]) -> Problem:
+def _mistake(detail: Mapping[str, Any], node: Node, schema: Mapping[str, Any]) -> _Mistake:
     kind, steps = detail["type"], tuple(detail["loc"])
     if steps and steps[-1] == "[key]":
         path, _ = _trace(schema, steps[:-1])
-        return Problem(_sentence(detail, path), node.locate(*path, key=True))
+        return _Mistake(Problem(_sentence(detail, path), node.locate(*path, key=True)), tuple(path))
     if kind == "missing":
         path, _ = _trace(schema, steps[:-1])
-        return Problem(f"{_prefix(path)}{steps[-1]!r} is missing", node.locate(*path))
+        return _Mistake(Problem(f"{_prefix(path)}{steps[-1]!r} is missing", node.locate(*path)), (*path, steps[-1]))
     if kind == "extra_forbidden":
         path, known = _trace(schema, steps[:-1])
         wrong = str(steps[-1])
-        return Problem(
-            f"{_prefix(path)}unknown key {wrong!r}{suggest(wrong, known)}", node.locate(*path, wrong, key=True)
-        )
+        message = f"{_prefix(path)}unknown key {wrong!r}{suggest(wrong, known)}"
+        return _Mistake(Problem(message, node.locate(*path, wrong, key=True)), (*path, wrong), tuple(known))
     path, _ = _trace(schema, steps)
-    return Problem(_sentence(detail, path), node.locate(*path))
+    return _Mistake(Problem(_sentence(detail, path), node.locate(*path)), tuple(path))
 
 
 def _prefix(path: Sequence[Step]) -> str:

@@ -402,3 +402,30 @@ agents:
     assert len(found) == 1
     assert "an algebraic loop" in found[0].message
     assert str(found[0].where) == f"{FILE}:7:7"
+
+
+# --- all at once ------------------------------------------------------------------------------------------------------
+
+FORM_AND_MEANING = [
+    [("duration: 1 s", "duration: §1 sec"), ("    - 2 -> 3\n", "    - §2 -> 7\n")],
+    [("  channel: fast\n", "  §chanel: fast\n"), ("role: follower", "role: §folower"), ("- 3 -> 1", "- §3 -> 8")],
+    [("{model: ideal}", "§{model: idael}"), ("plant.v -> controller.v", "§plant.w -> controller.v")],
+    [("1..3: {template: arm}", "1..3: {template: §amr}"), ("seed: 3", "seed: §three")],
+    [("1..3: {template: arm}", "§1..x: {template: arm}"), ("period: 100 ms", "period: §100 parsecs")],
+    [("fmu: TwoLinkArm", "fmu: §TwoLinkArn"), ("step: 5 ms", "step: §-5 ms"), ("2 -> 3", "§2 -> 9")],
+]
+
+
+@pytest.mark.parametrize("changes", FORM_AND_MEANING)
+def test_mistakes_in_form_do_not_hide_those_in_meaning_nor_make_up_others(
+    changes: list[tuple[str, str]], tmp_path: Path
+) -> None:
+    """Each mistake is marked where it must be reported; nothing else may be."""
+    plain = changed(*[(old, new.replace("§", "")) for old, new in changes])
+    places = set()
+    for mistake in changes:
+        others = [(old, new.replace("§", "")) for old, new in changes if (old, new) != mistake]
+        places.add(marked(changed(*others, mistake))[1])
+    found = [str(problem) for problem in errors(tmp_path, plain)]
+    assert {message.split(": error: ")[0] for message in found} == places, found
+    assert len(found) == len(places)
