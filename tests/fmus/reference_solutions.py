@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from tests.fmus.theory import Arm, Floats, Law, solve_tightly
+from tests.fmus.theory import Floats, Law, arm_derivative, solve_tightly
+from tests.reference.arm import Arm
 
 FMUS = Path(__file__).resolve().parents[2] / "fmus"
 T = 0.1
@@ -41,7 +42,7 @@ def arm() -> tuple[list[str], Floats]:
     x, u = np.array(start["p"] + start["v"]), np.array(start["u"])
     rows = [[0.0, *x]]
     for k in range(round(STOP["TwoLinkArm"] / T)):
-        x = solve_tightly(lambda _, y: Arm().derivative(y, u), k * T, (k + 1) * T, x)
+        x = solve_tightly(lambda _, y: arm_derivative(Arm(), y, u), k * T, (k + 1) * T, x)
         rows.append([(k + 1) * T, *x])
     return ["time", "p[1]", "p[2]", "v[1]", "v[2]"], np.array(rows)
 

@@ -1,4 +1,4 @@
-"""The two models once more, in NumPy and straight from the paper's equations, to hold the FMUs against."""
+"""The controller once more, in NumPy and straight from the paper's equations, to hold the FMUs against."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+
+from tests.reference.arm import Arm, acceleration, inertia, regressor
 
 Floats = NDArray[np.float64]
 
@@ -39,71 +41,16 @@ def runge_kutta(step: float) -> Callable[[Callable[[float, Floats], Floats], flo
     return solve
 
 
-@dataclass(frozen=True)
-class Arm:
-    """The two-link arm of Section 5, with its errata."""
-
-    m1: float = 1.0
-    m2: float = 1.0
-    l1: float = 0.5
-    lc1: float = 0.25
-    lc2: float = 0.25
-    I1: float = 0.1
-    I2: float = 0.1
-    g: float = 9.81
-
-    @property
-    def theta(self) -> Floats:
-        return np.array(
-            [
-                self.m1 * self.lc1**2 + self.m2 * (self.l1**2 + self.lc2**2) + self.I1 + self.I2,
-                self.m2 * self.l1 * self.lc2,
-                self.m2 * self.lc2**2 + self.I2,
-                self.m2 * self.lc2,
-                self.m1 * self.lc1 + self.m2 * self.l1,
-            ]
-        )
-
-    def inertia(self, p: Floats) -> Floats:
-        t, c = self.theta, np.cos(p[1])
-        return np.array([[t[0] + 2 * t[1] * c, t[2] + t[1] * c], [t[2] + t[1] * c, t[2]]])
-
-    def coriolis(self, p: Floats, v: Floats) -> Floats:
-        h = self.theta[1] * np.sin(p[1])
-        return np.array([[-h * v[1], -h * (v[0] + v[1])], [h * v[0], 0.0]])
-
-    def gravity(self, p: Floats) -> Floats:
-        t = self.theta
-        elbow = self.g * t[3] * np.cos(p[0] + p[1])
-        return np.array([self.g * t[4] * np.cos(p[0]) + elbow, elbow])
-
-    def energy(self, p: Floats, v: Floats) -> float:
-        t = self.theta
-        height = t[4] * np.sin(p[0]) + t[3] * np.sin(p[0] + p[1])
-        return float(0.5 * v @ self.inertia(p) @ v + self.g * height)
-
-    def derivative(self, x: Floats, u: Floats) -> Floats:
-        p, v = x[:2], x[2:]
-        acceleration = np.linalg.solve(self.inertia(p), u - self.coriolis(p, v) @ v - self.gravity(p))
-        return np.concatenate([v, acceleration])
+def energy(arm: Arm, p: Floats, v: Floats) -> float:
+    """Kinetic and potential energy, J."""
+    theta = arm.theta
+    height = theta[4] * np.sin(p[0]) + theta[3] * np.sin(p[0] + p[1])
+    return float(0.5 * v @ inertia(theta, p) @ v + arm.g * height)
 
 
-def regressor(p: Floats, v: Floats, x: Floats, x_dot: Floats, g: float = 9.81) -> Floats:
-    """Y(p, v, x, x') with Y theta = M x' + C x + G, theta in the paper's order."""
-    c, s = np.cos(p[1]), np.sin(p[1])
-    elbow = g * np.cos(p[0] + p[1])
-    return np.array(
-        [
-            [
-                x_dot[0],
-                c * (2 * x_dot[0] + x_dot[1]) - s * (x[0] * v[1] + x[1] * (v[0] + v[1])),
-                x_dot[1],
-                elbow,
-                g * np.cos(p[0]),
-            ],
-            [0.0, x_dot[0] * c + x[0] * v[0] * s, x_dot[0] + x_dot[1], elbow, 0.0],
-        ]
-    )
+def arm_derivative(arm: Arm, x: Floats, u: Floats) -> Floats:
+    """Of the states p, v."""
+    return np.concatenate([x[2:], acceleration(arm, x[:2], x[2:], u)])
 
 
 @dataclass
@@ -131,7 +78,7 @@ class Law:
         v_bar_2dot = zero if self.leader else -self.k_d * v_bar_dot - self.k_p * (v_bar - v_hat)
         v_r, v_r_dot = eta + v_bar, eta_dot + v_bar_dot
         e = v - v_r
-        Y = regressor(p, v, v_r, v_r_dot)
+        Y = regressor(p, v, v_r, v_r_dot, Arm().g)
         u = Y @ theta_hat - self.k_e * e
         rates = [zero if self.leader else v_bar_dot, v_bar_2dot, eta_dot, psi_dot, self.sign * self.Pi * (Y.T @ e)]
         return np.concatenate(rates), u
