@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from subprocess import PIPE
 
 import fmpy
 import numpy as np
@@ -369,7 +371,7 @@ from cosim.components.fmu import describe, open_fmu
 path = fmus.path("TwoLinkArm")
 components = [open_fmu("arm", path, Interface.CO_SIMULATION, describe(path)) for _ in range(3)]
 (folder,) = Path(tempfile.gettempdir()).glob("cosim-*")
-files = sorted(str(p.relative_to(folder)).split("/", 1)[1] for p in folder.rglob("*") if p.is_file())
+files = sorted(str(p.relative_to(folder)).split("/", 1)[1] for p in folder.glob("*/**/*") if p.is_file())
 print(oct(folder.stat().st_mode & 0o777), files)
 if sys.argv[1] == "fail":
     raise SystemExit("gone wrong")
@@ -393,3 +395,34 @@ def test_a_damaged_member_is_refused_when_unpacked(probe_library: Path, tmp_path
     path.write_bytes(path.read_bytes().replace(b"some data", b"some dada"))
     with pytest.raises(ConfigError, match="cannot be unpacked: Bad CRC"):
         library._unpacked(library.read(path))
+
+
+OPEN = """
+import fmus, os, signal
+from cosim.components import fmu
+from cosim.components.component import Interface
+path = fmus.path("TwoLinkArm")
+arm = fmu.open_fmu("arm", path, Interface.CO_SIMULATION, fmu.describe(path))
+print(os.listdir(os.environ["TMPDIR"]), flush=True)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there an open file cannot be removed")
+def test_what_a_killed_process_left_is_removed_by_the_next(tmp_path: Path) -> None:
+    environment = {**os.environ, "TMPDIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
+
+    def run(ending: str) -> subprocess.Popen[str]:
+        return subprocess.Popen([sys.executable, "-c", OPEN + ending], env=environment, text=True, stdout=PIPE)
+
+    with run("signal.pause()") as alive:
+        assert alive.stdout is not None
+        (living,) = ast.literal_eval(alive.stdout.readline())
+        with run("os.kill(os.getpid(), signal.SIGKILL)") as killed:
+            output, _ = killed.communicate(timeout=60)
+        assert killed.returncode < 0
+        assert len(ast.literal_eval(output)) == 2
+        with run("") as next_one:
+            output, _ = next_one.communicate(timeout=60)
+        assert living in ast.literal_eval(output), "a living process keeps its folder"
+        assert [path.name for path in tmp_path.iterdir()] == [living]
+        alive.kill()
