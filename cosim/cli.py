@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from types import FrameType
+from typing import NoReturn
 
 from cosim.errors import ConfigError, CosimError, Location, Problem, Severity
 
@@ -29,6 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     args = _parser().parse_args(arguments)
+    previous = signal.signal(signal.SIGTERM, _terminate)
     try:
         code: int = args.command(args)
         sys.stdout.flush()
@@ -40,10 +44,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return error.exit_code
     except KeyboardInterrupt:
         return 130
-    except BrokenPipeError:  # whoever read the output has seen enough; Python would complain again at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:  # whoever read the output has seen enough
+        _drop_output()
         return 0
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        _drop_output()
+        print(f"error: cannot write the output: {error.strerror}", file=sys.stderr)
+        return CosimError.exit_code
+    finally:
+        signal.signal(signal.SIGTERM, previous)
     return code
+
+
+def _terminate(number: int, _: FrameType | None) -> NoReturn:
+    """End through Python, so that temporary folders are removed, with the code that the signal would have given."""
+    sys.exit(128 + number)
+
+
+def _drop_output() -> None:
+    """Nothing more can be written to standard output; without this, Python would try again at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _print_problems(problems: Sequence[Problem]) -> None:

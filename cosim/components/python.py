@@ -9,6 +9,7 @@ import functools
 import hashlib
 import importlib
 import inspect
+import math
 import pkgutil
 import sys
 import traceback
@@ -233,8 +234,15 @@ def describe_python(dotted: str, structural: Mapping[str, int] | None = None) ->
             name: replace(d.variable({}), start=(sizes[name],)) if isinstance(d, Structural) else d.variable(sizes)
             for name, d in declared.items()
         }
-    except (KeyError, ValueError, TypeError) as error:
+    except KeyError as error:
+        raise _refuse(f"{dotted} declares a variable with an unknown dtype or size {error}") from error
+    except (ValueError, TypeError) as error:
         raise _refuse(f"{dotted} declares a variable that cannot be: {error}") from error
+    inputs = [name for name, variable in variables.items() if variable.causality == "input"]
+    for name, variable in variables.items():
+        for other in variable.dependencies or ():
+            if other not in inputs:
+                raise _refuse(f"{dotted}: {name} depends on {other!r}, which is no input{suggest(other, inputs)}")
     source = inspect.getsourcefile(cls)
     return Description(
         model=cls.__name__,
@@ -290,7 +298,7 @@ def load(dotted: str) -> type[PythonComponent]:
         if missing != module_name and not module_name.startswith(f"{missing}."):
             raise _refuse(f"{module_name} cannot be imported: {_say(error)}") from error
         raise _refuse(f"there is no Python module {missing!r}{suggest(missing, _siblings(missing))}") from None
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise _refuse(f"{module_name} cannot be imported: {_say(error)}") from error
     cls = getattr(module, class_name, None)
     if isinstance(cls, type) and issubclass(cls, PythonComponent):
@@ -349,7 +357,7 @@ class PythonInstance(Component):
         """Call the user's code; whatever it raises becomes a `ComponentError` that says where."""
         try:
             return method(*arguments)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise ComponentError(self.name, _say(error)) from error
 
     # --- values -----------------------------------------------------------------------------------------------------
@@ -417,6 +425,9 @@ class PythonInstance(Component):
     def derivatives(self) -> Floats:
         self._evaluate()
         by_name = self._run(self._model.derivatives, self._time)
+        if not isinstance(by_name, Mapping):
+            wanted = ", ".join(f"{name!r}: …" for name in self._slopes)
+            raise ComponentError(self.name, f"derivatives returned {by_name!r}; return {{{wanted}}}")
         if by_name.keys() != self._slopes.keys():
             found, wanted = ", ".join(by_name) or "nothing", ", ".join(self._slopes)
             raise ComponentError(self.name, f"derivatives returned {found}, not {wanted}")
@@ -434,8 +445,12 @@ class PythonInstance(Component):
         self._evaluate()
         self._run(self._model.event, self._time)
         self._stale = True
-        next_event: float | None = self._run(self._model.next_event, self._time)
-        return next_event
+        next_event = self._run(self._model.next_event, self._time)
+        if next_event is None:
+            return None
+        if not isinstance(next_event, (int, float)) or math.isnan(next_event):
+            raise ComponentError(self.name, f"next_event returned {next_event!r}; return seconds, or None")
+        return float(next_event)
 
     def enter_continuous_time_mode(self) -> None:
         """Nothing to prepare."""

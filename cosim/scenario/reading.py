@@ -80,9 +80,10 @@ def read_scenario(path: Path, label: str | None = None, overrides: Sequence[Over
         ConfigError: it is no YAML, or so little of it has the right form that nothing else can be checked.
     """
     label = label or str(path)
-    root = read(path, label)
-    late: list[tuple[str, Node]] = []
     problems: list[Problem] = []
+    root = read(path, label, problems)
+    refused = {problem.where for problem in problems}
+    late: list[tuple[str, Node]] = []
     for override in overrides:
         try:
             root = override.apply(root)
@@ -92,7 +93,7 @@ def read_scenario(path: Path, label: str | None = None, overrides: Sequence[Over
             late.append((override.path[1], _nested(override)))
     doubts = Doubts()
     spec, root, found = _validate_in_part(ScenarioSpec, root, doubts)
-    problems += found
+    problems += [problem for problem in found if problem.where not in refused]
     if spec is None:
         raise ConfigError(_unique(problems))
     agents, found = _merge_agents(root, late, doubts)

@@ -153,12 +153,13 @@ _SCALARS: Mapping[str, Callable[[str], Scalar]] = {
 # --- reading ----------------------------------------------------------------------------------------------------------
 
 
-def read(path: Path, name: str | None = None) -> Node:
+def read(path: Path, name: str | None = None, problems: list[Problem] | None = None) -> Node:
     """The tree of a file.
 
     Args:
         path: the file.
         name: what locations call it; `path` as given, by default.
+        problems: see `parse`.
 
     Raises:
         ConfigError: it cannot be read, is not UTF-8, or is refused by `parse`.
@@ -169,18 +170,20 @@ def read(path: Path, name: str | None = None) -> Node:
     except OSError as error:
         raise ConfigError([Problem(f"cannot be read: {error.strerror or error}", Location(name))]) from None
     try:
-        return parse(data.decode("utf-8-sig"), name)
+        return parse(data.decode("utf-8-sig"), name, problems)
     except UnicodeDecodeError as error:
         before = data[: error.start].decode("utf-8-sig", errors="replace")
         raise ConfigError([Problem("not UTF-8 text; save the file as UTF-8", _location_after(before, name))]) from None
 
 
-def parse(text: str, name: str) -> Node:
+def parse(text: str, name: str, problems: list[Problem] | None = None) -> Node:
     """The tree of a YAML text.
 
     Args:
         text: one YAML document.
         name: what locations call it.
+        problems: takes what is wrong with single keys and values, so that the rest can be checked as well; without it
+            that is raised.
 
     Raises:
         ConfigError: no YAML, equal keys, a tag that is none of YAML's core types; every such problem at once, except
@@ -194,7 +197,9 @@ def parse(text: str, name: str) -> Node:
         raise ConfigError([Problem("the file is empty", Location(name, 1, 1))])
     builder = _Builder(name)
     tree = builder.build(root)
-    if builder.problems:
+    if problems is not None:
+        problems += builder.problems
+    elif builder.problems:
         raise ConfigError(builder.problems)
     return tree
 

@@ -130,7 +130,7 @@ def test_opening_leaves_the_working_directory_alone(tmp_path: Path, monkeypatch:
     path = write_fmu(tmp_path / "x.fmu", None, description3(), {"binaries/x86_64-linux/probe.so": "no library"})
     name = f"binaries/{fmpy.platform_tuple}/probe{fmpy.sharedLibraryExtension}"
     write_fmu(path, None, description3(), {name: "no library"})
-    with pytest.raises(ComponentError, match="cannot be opened: Failed to load shared library"):
+    with pytest.raises(ConfigError, match="cannot be loaded: binaries"):
         open_fmu("broken", path, CS, describe(path))
     assert Path.cwd() == tmp_path
 

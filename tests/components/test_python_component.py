@@ -373,7 +373,7 @@ def test_what_cannot_be_loaded(name: str, said: str) -> None:
     [
         (NoEquation, "declares a State but implements neither derivatives nor step"),
         (NoState, "implements derivatives but declares no State"),
-        (BadShape, "declares a variable that cannot be: 'm'"),
+        (BadShape, "unknown dtype or size 'm'"),
     ],
 )
 def test_declarations_that_cannot_be(cls: type[PythonComponent], said: str) -> None:

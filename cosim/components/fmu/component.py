@@ -24,7 +24,7 @@ from cosim.components.fmu.library import (
 from cosim.components.fmu.values import FMI2_TYPES, FMI3_TYPES, Buffer
 from cosim.components.fmu.variables import fmi3_shape
 from cosim.components.start_values import start_values
-from cosim.errors import ComponentError
+from cosim.errors import ComponentError, ConfigError
 
 DISCRETE_STATE_ITERATIONS = 100
 """How often an FMU may ask for another update of its discrete states at one instant."""
@@ -65,6 +65,8 @@ class FmuComponent(Component):
             self._fmu = open_library(file, interface)
             self._fmu.instanceName = name
             self._instantiate()
+        except ConfigError:  # the file is at fault, and the message names it
+            raise
         except Exception as error:  # FMPy raises bare exceptions
             raise ComponentError(name, f"cannot be opened: {error}", self.log.last) from error
         self._instance = self._fmu.component

@@ -188,6 +188,9 @@ def _load(file: File, interface: Interface) -> Any:
     working_directory = Path.cwd()
     try:
         fmu = _CLASSES[file.fmi, interface](**arguments)
+    except Exception as error:  # FMPy raises bare exceptions
+        reason = str(error.__context__ or error).replace(f"{folder}{os.sep}", "")
+        raise refuse(file.archive.path, f"cannot be loaded: {reason}") from error
     finally:
         os.chdir(working_directory)  # FMPy changes it, and does not come back if loading fails
     if os.name == "nt":  # a loaded library could not be removed
@@ -208,7 +211,11 @@ _cached_load = functools.cache(_load)
 
 
 def open_library(file: File, interface: Interface) -> Any:
-    """FMPy's object, ready to be instantiated. Its constructor costs a millisecond, a copy of it next to nothing."""
+    """FMPy's object, ready to be instantiated. Its constructor costs a millisecond, a copy of it next to nothing.
+
+    Raises:
+        ConfigError: the file cannot be unpacked, or its library cannot be loaded.
+    """
     with _lock:
         if file.implementations[interface].canBeInstantiatedOnlyOncePerProcess:
             return _load(file, interface)

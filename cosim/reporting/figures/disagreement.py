@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from cosim.reporting.figures import style
 from cosim.reporting.figures.scene import NotDrawn, Scene, Signal
@@ -25,7 +25,11 @@ def draw_disagreement(scene: Scene) -> tuple[Figure, str]:
         handles += ax.semilogy(scene.time, shown, color=colour, linestyle=dashes)
     style.time_axis(ax, float(scene.time[0]), float(scene.time[-1]))
     ax.set_ylabel("largest deviation")
+    low, high = np.log10(ax.get_ylim())
+    if high - low < 2:  # fewer than two powers of ten inside: their labels alone would say nothing of the scale
+        ax.set_ylim(10 ** np.floor(low), 10 ** np.ceil(high))
     ax.yaxis.set_major_locator(LogLocator(numticks=9))
+    ax.yaxis.set_minor_formatter(NullFormatter())  # labels such as 3 x 10^0 are too wide for the margin
     style.legend(figure, handles, labels)
     centre = "the mean over agents" if scene.reference_velocity is None else "the desired velocity"
     text = "Largest deviation over all agents and elements, in the units of the signals: of positions from the first"
