@@ -18,7 +18,7 @@ exit codes:
   0    success
   2    a mistake in the scenario or on the command line
   3    a run failed: a component refused or broke down
-  130  stopped with Ctrl-C
+  130  stopped with Ctrl-C (143: by SIGTERM, 129: by SIGHUP)
 """
 
 

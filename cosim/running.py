@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import signal
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
-from types import FrameType
 
 from cosim.components.component import Floats
 from cosim.errors import CosimError, RunError
@@ -18,34 +16,8 @@ from cosim.inline import Interrupted, run
 from cosim.plan import Plan
 from cosim.progress import Disagreement, Progress
 from cosim.recording.recorder import Recorder
+from cosim.stopping import StopRequest
 from network.messages import Fates
-
-EXIT_INTERRUPTED = 130
-
-
-class StopRequest:
-    """Ctrl-C and SIGTERM ask for an orderly end at the next tick; asked twice, Python's own handling takes over."""
-
-    def __init__(self) -> None:
-        self.requested = False
-
-    def __call__(self) -> bool:
-        return self.requested
-
-    @contextmanager
-    def listening(self) -> Iterator[None]:
-        """While inside, signals set `requested`."""
-        previous = {number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)}
-        try:
-            yield
-        finally:
-            for number, handler in previous.items():
-                signal.signal(number, handler)
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
-        if self.requested:
-            signal.default_int_handler(number, frame)
-        self.requested = True
 
 
 def run_folder(name: str, out: Path | None) -> Path:
@@ -58,7 +30,7 @@ def run_folder(name: str, out: Path | None) -> Path:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Run `args.config`; exit code 0, or 130 after Ctrl-C.
+    """Run `args.config`; exit code 0, or 128 and the number of the signal that stopped it: 130 after Ctrl-C.
 
     Raises:
         CosimError: a mistake in the scenario, or a run that failed; what was computed until then is on disk.
@@ -80,16 +52,14 @@ def main(args: argparse.Namespace) -> int:
             reached = f"t = {interrupted.tick * plan.period:.9g} s"
             recorder.close(f"aborted: interrupted at {reached}")
             print(f"interrupted at {reached}; everything until then is in {recorder.folder}", file=sys.stderr)
-            return EXIT_INTERRUPTED
+            return stop.exit_code
         except BaseException as error:
             _close_after(error, recorder)
             raise
     digest = recorder.close("complete")
     if not args.quiet:
         summary.show(recorder.folder, digest)
-    if args.report:
-        _draw(recorder.folder, quiet=args.quiet)
-    return 0
+    return _draw(recorder.folder, quiet=args.quiet) if args.report else 0
 
 
 def _close_after(error: BaseException, recorder: Recorder) -> None:
@@ -127,9 +97,15 @@ class _Summary:
         print(f"  run folder               {folder}")
 
 
-def _draw(folder: Path, *, quiet: bool) -> None:
+def _draw(folder: Path, *, quiet: bool) -> int:
     from cosim.reporting.report import draw
 
-    page = draw(folder)
+    stop = StopRequest()
+    with stop.listening():
+        page = draw(folder, stop)
+    if page is None:
+        print(f"the run is complete; `cosim report {folder}` draws its report", file=sys.stderr)
+        return stop.exit_code
     if not quiet:
         print(f"  report                   {page}")
+    return 0

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from cosim.recording.manifest import folder_problem, write_atomically
 from cosim.reporting import findings
 from cosim.reporting.edges import Edges
 from cosim.results import Results, load
+from cosim.stopping import StopRequest
 
 PAGE = "report.html"
 FIGURES = "figures"
@@ -34,18 +35,24 @@ class Shown:
 
 def main(args: argparse.Namespace) -> int:
     """Draw the report of the run folder `args.run`."""
-    print(draw(args.run))
+    stop = StopRequest()
+    with stop.listening():
+        page = draw(args.run, stop)
+    if page is None:
+        return stop.exit_code
+    print(page)
     return 0
 
 
-def draw(folder: Path) -> Path:
+def draw(folder: Path, stop_requested: Callable[[], bool] = lambda: False) -> Path | None:
     """Draw all figures that apply to a run, and the page.
 
     Args:
         folder: of a run that has ended, whole or aborted.
+        stop_requested: asked before each figure.
 
     Returns:
-        The page.
+        The page; None if it was stopped before that.
 
     Raises:
         ConfigError: the folder is no run folder, or cannot be written.
@@ -53,7 +60,9 @@ def draw(folder: Path) -> Path:
     results = load(folder)
     page = folder / PAGE
     try:
-        shown = _draw_figures(results, folder / FIGURES)
+        shown = _draw_figures(results, folder / FIGURES, stop_requested)
+        if shown is None:
+            return None
         write_atomically(page, _render(results, shown))
     except OSError as error:
         where = Path(error.filename or folder)
@@ -61,7 +70,7 @@ def draw(folder: Path) -> Path:
     return page
 
 
-def _draw_figures(results: Results, folder: Path) -> list[Shown]:
+def _draw_figures(results: Results, folder: Path, stop_requested: Callable[[], bool]) -> list[Shown] | None:
     from cosim.reporting.figures import FIGURES, NotDrawn, Scene
     from cosim.reporting.figures.style import save, styled
 
@@ -70,6 +79,8 @@ def _draw_figures(results: Results, folder: Path) -> list[Shown]:
     shown = []
     with styled():
         for entry in FIGURES:
+            if stop_requested():
+                return None
             try:
                 figure, caption = entry.draw(scene)
             except NotDrawn as reason:

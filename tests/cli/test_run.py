@@ -130,7 +130,7 @@ def test_too_long_a_step_says_which_one_to_try(method: str, step: str, shorter: 
     assert cosim("run", "paper_leaders", *SHORT, *coupling, "--out", "short", cwd=tmp_path).returncode == 0
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_interrupt_leaves_a_readable_run_folder(number: signal.Signals, tmp_path: Path) -> None:
     command = [*COSIM, "run", "paper_leaders", "--until", "10 h", "--out", "long"]
     with subprocess.Popen(
@@ -142,13 +142,30 @@ def test_interrupt_leaves_a_readable_run_folder(number: signal.Signals, tmp_path
         assert "disagreement" in shown
         run.send_signal(number)
         _, error = run.communicate(timeout=60)
-    assert run.returncode == 130
+    assert run.returncode == 128 + number
     assert "interrupted at t = " in error
     assert "Traceback" not in error
     content = manifest(tmp_path / "long")
     assert content["status"].startswith("aborted: interrupted at t = ")
     positions = results.load(tmp_path / "long").array("plant.p")
     assert len(positions) == content["ticks"]["done"] + 1 > 1
+
+
+def test_interrupt_while_the_report_is_drawn(tmp_path: Path) -> None:
+    assert cosim("run", "channel_sine", *SHORT, "--out", "run", cwd=tmp_path).returncode == 0
+    code = (
+        "import os, signal, sys\nfrom cosim.cli import main\nfrom cosim.reporting import report\n"
+        "original = report._draw_figures\n"
+        "def drawing(*arguments):\n    os.kill(os.getpid(), signal.SIGINT)\n    return original(*arguments)\n"
+        "report._draw_figures = drawing\nsys.exit(main(['report', 'run']))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment(), text=True, capture_output=True, check=False
+    )
+    assert done.returncode == 130
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "run" / "report.html").exists()
+    assert cosim("report", "run", cwd=tmp_path).returncode == 0
 
 
 def test_folder_that_is_not_empty_is_refused(tmp_path: Path) -> None:
