@@ -42,12 +42,12 @@ def find(config: str) -> Path:
     for candidate in (path, *(Path(f"{config}{suffix}") for suffix in _SUFFIXES)):
         if candidate.is_file():
             return candidate
+    if path.is_dir() and config not in names():
+        raise ConfigError([Problem("this is a folder; name a YAML file", Location(config))])
     if path.suffix in _SUFFIXES or path.name != config:
         hint = ""
         if path.stem in names():
             hint = f"; the shipped scenario goes by its bare name, {path.stem!r}"
-        elif path.is_dir():
-            hint = "; it is a folder"
         elif path.parent.is_dir():
             hint = suggest(path.name, sorted(p.name for p in path.parent.iterdir() if p.suffix in _SUFFIXES))
         raise ConfigError([Problem(f"no such file{hint}", Location(config))])

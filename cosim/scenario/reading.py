@@ -246,7 +246,7 @@ def _sentence(detail: Mapping[str, Any], path: Sequence[Step]) -> str:
         said = f"must be {_MUST_BE[kind]}, not {_shown(value)}"
     elif kind in _BOUNDS:
         (bound,) = context.values()
-        said = f"must be {_BOUNDS[kind]} {bound:g}, not {_shown(value)}"
+        said = f"must be {_BOUNDS[kind]} {bound if isinstance(bound, int) else f'{bound:g}'}, not {_shown(value)}"
     elif kind == "too_short" and context["min_length"] == 1:
         said = "must not be empty"
     elif kind in ("too_short", "too_long"):

@@ -114,6 +114,8 @@ class Uniform(Spec):
         low, high = self.uniform
         if low > high:
             raise ValueError(f"the lower bound {low!r} is above the upper bound {high!r}")
+        if not math.isfinite(high - low):
+            raise ValueError(f"the bounds {low!r} and {high!r} are too far apart for floating-point numbers")
         return self
 
 

@@ -80,6 +80,7 @@ HOW_IT_IS_WRITTEN: dict[str, tuple[Change, str]] = {
     ),
     "start value left empty": (("v: 0}", "v: §~}"), "a start value is a number"),
     "bounds": (("{uniform: [-1, 1]}", "§{uniform: [1, -1]}"), "the lower bound 1.0 is above the upper bound -1.0"),
+    "bounds too far apart": (("{uniform: [-1, 1]}", "§{uniform: [-1e308, 1e308]}"), "are too far apart"),
     "one bound": (("uniform: [-1, 1]", "uniform: §[1]"), "must have 2 elements, not 1"),
     "bound is no number": (("uniform: [-1, 1]", "uniform: [-1, §one]"), "must be a number, not 'one'"),
     "bound of an element": (("p: {uniform: [-1, 1]}", "p: [1, {normal: [0, §x]}]"), "must be a number, not 'x'"),

@@ -115,7 +115,7 @@ def test_a_file_comes_before_a_shipped_scenario(tmp_path: Path, monkeypatch: pyt
         ("gone/net.yaml", "gone/net.yaml: error: no such file"),
         ("configs/paper_leaders.yaml", "no such file; the shipped scenario goes by its bare name, 'paper_leaders'"),
         ("folder", "no shipped scenario 'folder'"),
-        ("./folder", "no such file; it is a folder"),
+        ("./folder", "this is a folder; name a YAML file"),
     ],
 )
 def test_what_is_not_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, config: str, sentence: str) -> None:
