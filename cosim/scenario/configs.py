@@ -42,7 +42,7 @@ def find(config: str) -> Path:
     for candidate in (path, *(Path(f"{config}{suffix}") for suffix in _SUFFIXES)):
         if candidate.is_file():
             return candidate
-    if path.is_dir() and config not in names():
+    if path.is_dir() and path.name != config:
         raise ConfigError([Problem("this is a folder; name a YAML file", Location(config))])
     if path.suffix in _SUFFIXES or path.name != config:
         hint = ""
