@@ -170,7 +170,9 @@ class PythonLoop:
                         event_ns = math.floor(event * NANOSECONDS_PER_SECOND + 0.5)
                         if start_ns < event_ns < stop_ns:
                             stop_ns = event_ns
-                if self._coupling.integrator is Integrator.RK4:
+                if not any(component.n_states for component in self._components):
+                    self._accept(to_seconds(stop_ns), np.empty(0))
+                elif self._coupling.integrator is Integrator.RK4:
                     self._runge_kutta(start_ns, stop_ns)
                 else:
                     self._dormand_prince(start_ns, stop_ns)
@@ -331,17 +333,16 @@ class PythonLoop:
     def _carry_out(self, transfers: Iterable[Transfer], source: Floats | None = None) -> None:
         """Move values; SET reads from `source`, by default the signals."""
         signals = self._state.signals
+        read = signals if source is None else source
         for transfer in transfers:
             component = self._components[transfer.component]
-            offset = 0
-            for variable in transfer.variables:
-                positions = transfer.positions[offset : offset + variable.size]
-                offset += variable.size
-                if transfer.direction is Direction.SET:
-                    component.set(variable, (signals if source is None else source)[positions])
-                    continue
+            if transfer.direction is Direction.SET:
+                for variable, positions in transfer.parts:
+                    component.set(variable, read[positions])
+                continue
+            for variable, positions in transfer.parts:
                 values = component.get(variable)
-                if not np.all(np.isfinite(values)):
+                if not np.isfinite(values).all():
                     raise ComponentError(component.name, f"output {variable.name} is not finite")
                 signals[positions] = values
 

@@ -7,9 +7,11 @@ native one, carry out the same transfers.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +47,13 @@ class Transfer:
     component: int
     variables: tuple[Variable, ...]
     positions: Positions
+
+    @cached_property
+    def parts(self) -> tuple[tuple[Variable, Positions], ...]:
+        """Each variable with its own positions."""
+        ends = itertools.accumulate((variable.size for variable in self.variables), initial=0)
+        pieces = [self.positions[begin:end] for begin, end in itertools.pairwise(ends)]
+        return tuple(zip(self.variables, pieces, strict=True))
 
 
 @dataclass(frozen=True)

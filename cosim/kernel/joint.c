@@ -77,7 +77,7 @@ static double *advanced(const Agent *agent, double length, const double *slope) 
     return agent->new_states;
 }
 
-bool runge_kutta(Agent *agent, int64_t start_ns, int64_t end_ns) {
+static bool runge_kutta(Agent *agent, int64_t start_ns, int64_t end_ns) {
     double h;
     int64_t n = micro_steps(agent, start_ns, end_ns, &h);
     double start = to_seconds(start_ns), end = to_seconds(end_ns);
@@ -155,7 +155,7 @@ static double step_factor(double ratio) {
     return fmin(5.0, fmax(0.2, factor));
 }
 
-bool dormand_prince(Agent *agent, int64_t start_ns, int64_t end_ns) {
+static bool dormand_prince(Agent *agent, int64_t start_ns, int64_t end_ns) {
     double start = to_seconds(start_ns), end = to_seconds(end_ns), largest = to_seconds(agent->step_ns);
     double t = start;
     double h = agent->steps[1] != 0.0 ? agent->steps[1] : largest;
@@ -187,4 +187,12 @@ bool dormand_prince(Agent *agent, int64_t start_ns, int64_t end_ns) {
     }
     agent->steps[1] = h;
     return true;
+}
+
+bool integrate_states(Agent *agent, int64_t start_ns, int64_t end_ns) {
+    if (agent->n_states == 0) { /* nothing to integrate */
+        bool event;
+        return accept(agent, to_seconds(end_ns), &event);
+    }
+    return agent->integrator == RK4 ? runge_kutta(agent, start_ns, end_ns) : dormand_prince(agent, start_ns, end_ns);
 }

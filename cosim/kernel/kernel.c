@@ -40,8 +40,7 @@ static int64_t next_stop(const Agent *agent, int64_t start_ns, int64_t end_ns) {
 static bool integrate_joint(Agent *agent, int64_t start_ns, int64_t end_ns) {
     while (start_ns < end_ns) {
         int64_t stop_ns = next_stop(agent, start_ns, end_ns);
-        bool ok = agent->integrator == RK4 ? runge_kutta(agent, start_ns, stop_ns)
-                                           : dormand_prince(agent, start_ns, stop_ns);
+        bool ok = integrate_states(agent, start_ns, stop_ns);
         if (!ok || (stop_ns < end_ns && !handle_event(agent, stop_ns, false))) return false;
         start_ns = stop_ns;
     }

@@ -174,8 +174,7 @@ bool enter_event_mode(Agent *agent);
 bool iterate_events(Agent *agent);
 
 /* joint.c */
-bool runge_kutta(Agent *agent, int64_t start_ns, int64_t end_ns);
-bool dormand_prince(Agent *agent, int64_t start_ns, int64_t end_ns);
+bool integrate_states(Agent *agent, int64_t start_ns, int64_t end_ns);
 
 /* steps.c */
 bool step_components(Agent *agent, int64_t start_ns, int64_t end_ns);
