@@ -1,0 +1,538 @@
+"""Endpoints over Zenoh: the hub's, and those of the processes that connect to it. Only this file imports `zenoh`.
+
+Keys, joining and the rules behind the settings are in docs/protocol.md. Nothing of Zenoh is trusted to deliver: every
+message is numbered and checked by `network.envelope`, and every wait ends.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import socket
+import tempfile
+import threading
+import time
+import uuid
+from collections import deque
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Self
+
+# Two threads for all of Zenoh: a fifth less time per exchange than by default. Receiving has one of its own, because
+# the hub's waits where it passes on more than a receiver's queue holds; were it also the one that sends, for ever.
+os.environ.setdefault(  # read when the first session opens
+    "ZENOH_RUNTIME",
+    "(rx:(worker_threads:1),acc:(handover:app),tx:(handover:app),net:(handover:app),app:(worker_threads:1))",
+)
+import zenoh
+
+from network.codec import decode_object, encode_object
+from network.envelope import Envelope, Kind, Part, Streams, Tamper, WireError, check_name
+from network.transport import (
+    HUB,
+    PeerLost,
+    Refused,
+    TransportError,
+    TransportTimeout,
+    Waiting,
+    name_is_used,
+    nothing_arrived,
+)
+
+LEASE: Final = 2.0
+"""Seconds without a sign of life after which a process that is stopped, or cut off, counts as lost."""
+
+HUB_STALL: Final = 5.0
+"""Seconds for which a process's Zenoh may take nothing before the hub closes the connection, and it counts as lost."""
+
+STALL: Final = 60.0
+"""The same for what the others send to the hub: longer, so that the one who does not take its messages is named."""
+
+_WAIT: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"  # µs
+_INBOX: Final = 2**20  # messages; if it were full, Zenoh's receiving thread would wait, and with it every other link
+_SETTINGS: Final[Mapping[str, object]] = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "scouting/delay": 0,
+    "transport/shared_memory/enabled": False,
+    "timestamping/enabled": False,
+    "transport/link/tx/lease": int(LEASE * 1e3),
+    _WAIT: int(STALL * 1e6),
+    "transport/unicast/max_sessions": 4000,
+}
+_QOS: Final[Mapping[str, Any]] = {
+    "congestion_control": zenoh.CongestionControl.BLOCK,
+    "express": True,
+    "priority": zenoh.Priority.REAL_TIME,
+}
+_Samples = zenoh.handlers.Handler[zenoh.Sample]
+
+
+@dataclass(frozen=True)
+class _Keys:
+    """The keys of a run. Chunks that begin with @ are matched by no wildcard."""
+
+    root: str
+
+    def inbox(self, receiver: str) -> str:
+        return f"{self.root}/{receiver}/*"
+
+    def message(self, receiver: str, sender: str) -> str:
+        return f"{self.root}/{receiver}/{sender}"
+
+    def alive(self, name: str, token: str) -> str:
+        return f"{self.root}/@alive/{name}/{token}"
+
+    def join(self, name: str) -> str:
+        return f"{self.root}/@join/{name}"
+
+
+def _keys(run: str, namespace: str | None) -> _Keys:
+    chunks = ["netcosim", check_name(run, "run")]
+    if namespace is not None:
+        chunks.insert(1, check_name(namespace, "namespace"))
+    return _Keys("/".join(chunks))
+
+
+def _open(settings: Mapping[str, object]) -> zenoh.Session:
+    config = zenoh.Config()
+    for key, value in {**_SETTINGS, **settings}.items():
+        config.insert_json5(key, json.dumps(value))
+    return zenoh.open(config)
+
+
+def _connecting(endpoints: Sequence[str], timeout: float) -> dict[str, object]:
+    """Settings of a session that connects to a router, which need not be there yet."""
+    return {
+        "mode": "client",
+        "connect/endpoints": list(endpoints),
+        "connect/timeout_ms": int(timeout * 1e3),
+        "connect/exit_on_failure": True,
+        "connect/retry": {"period_init_ms": 20, "period_max_ms": 200, "period_increase_factor": 1.5},
+    }
+
+
+class _Alarm:
+    """Calls `ring` when a deadline has passed, in a thread of its own.
+
+    The thread is woken only for a deadline earlier than the one it sleeps for; setting later ones costs next to
+    nothing, and it finds out when it wakes.
+    """
+
+    def __init__(self, ring: Callable[[], None]) -> None:
+        self._ring = ring
+        self._changed = threading.Condition()
+        self._deadline = math.inf
+        self._sleeps_until = math.inf
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="alarm", daemon=True)
+        self._thread.start()
+
+    def set(self, deadline: float) -> None:
+        """Ring at `deadline` (of `time.monotonic`) instead of any earlier setting; infinity for never."""
+        self._deadline = deadline
+        if deadline < self._sleeps_until:
+            with self._changed:
+                self._changed.notify()
+
+    def close(self) -> None:
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join()
+
+    def _run(self) -> None:
+        with self._changed:
+            while not self._closed:
+                self._sleeps_until = math.inf  # from here until it waits, `set` always asks for the lock
+                left = self._deadline - time.monotonic()
+                if left <= 0:
+                    self._deadline = math.inf
+                    self._ring()
+                    continue
+                self._sleeps_until = time.monotonic() + left
+                self._changed.wait(None if left == math.inf else left)
+
+
+class ZenohEndpoint:
+    """What the hub's and the others' endpoints have in common; see `network.transport.Endpoint`."""
+
+    def __init__(self, session: zenoh.Session, keys: _Keys, run: str, name: str, tamper: Tamper | None) -> None:
+        self.name = name
+        self._session = session
+        self._keys = keys
+        self._streams = Streams(run, name)
+        self._tamper = tamper
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._senders: dict[str, str] = {}
+        self._losses: deque[PeerLost] = deque()
+        self._departed: set[str] = set()
+        self._closed = False
+        self._changed = threading.Condition(threading.RLock())
+        self._threads: list[threading.Thread] = []
+        self._token = uuid.uuid4().hex
+        self._own_key = keys.message(name, name)
+        self._subscriber = session.declare_subscriber(keys.inbox(name), zenoh.handlers.FifoChannel(_INBOX))
+        self._inbox: _Samples = self._subscriber.handler
+        self._alarm = _Alarm(self._wake)
+
+    def send(self, receiver: str, kind: Kind, tick: int, *parts: Part) -> None:
+        self._check_open()
+        frame = self._streams.encode(receiver, kind, tick, parts)
+        publisher = self._publishers.get(receiver)
+        if publisher is None:
+            publisher = self._session.declare_publisher(self._keys.message(receiver, self.name), **_QOS)
+            self._publishers[receiver] = publisher
+        for out in [frame] if self._tamper is None else self._tamper(self.name, receiver, frame):
+            publisher.put(out)
+
+    def receive(self, timeout: float) -> Envelope:
+        self._check_open()
+        deadline: float | None = None
+        while True:
+            some_lost = bool(self._losses)  # looked at first: what arrived before a loss comes out before it
+            sample = self._inbox.try_recv()
+            if sample is None:
+                if some_lost:
+                    self._report_loss()
+                    continue
+                now = time.monotonic()
+                if deadline is None:
+                    deadline = now + timeout
+                if now >= deadline:
+                    raise TransportTimeout(nothing_arrived(self.name, timeout))
+                self._alarm.set(deadline)
+                sample = self._inbox.recv()
+                self._alarm.set(math.inf)
+            key = str(sample.key_expr)
+            if key != self._own_key:
+                return self._decode(key, sample.payload.to_bytes())
+
+    def _decode(self, key: str, frame: bytes) -> Envelope:
+        sender = self._senders.get(key)
+        if sender is None:
+            sender = self._senders[key] = key.rpartition("/")[2]
+        envelope = self._streams.decode(sender, frame)
+        if envelope.kind is Kind.BYE:
+            self._departed.add(sender)
+        return envelope
+
+    def _report_loss(self) -> None:
+        """Raise the next loss, unless that process has said BYE."""
+        loss = self._losses.popleft()
+        if loss.name in self._departed:
+            return
+        if loss.name == HUB:
+            self._losses.append(loss)
+        raise loss
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise TransportError(f"{self.name}: the endpoint is closed")
+
+    def _wake(self) -> None:
+        """End a `recv` that takes no timeout: a message to ourselves, which never leaves the session."""
+        try:
+            self._session.put(self._own_key, b"", allowed_destination=zenoh.Locality.SESSION_LOCAL, **_QOS)
+        except zenoh.ZError:
+            if not self._closed:
+                raise
+
+    def _lose(self, name: str, reason: str) -> None:
+        self._losses.append(PeerLost(name, reason))
+        self._wake()
+
+    def _watch(self, whom: str, on_change: Callable[[str, str, bool], None]) -> None:
+        """Tell `on_change` (name, token, alive) of every change, in a thread of its own."""
+        subscriber = self._session.liveliness().declare_subscriber(
+            self._keys.alive(whom, "*"), zenoh.handlers.FifoChannel(_INBOX), history=True
+        )
+
+        def changed(sample: zenoh.Sample) -> None:
+            _, name, token = str(sample.key_expr).rsplit("/", 2)
+            on_change(name, token, sample.kind == zenoh.SampleKind.PUT)
+
+        self._serve(subscriber.recv, changed)
+
+    def _serve(self, receive: Callable[[], Any], act: Callable[[Any], None]) -> None:
+        """`act` on whatever `receive` gives until the session is closed."""
+
+        def loop() -> None:
+            while True:
+                try:
+                    item = receive()
+                except zenoh.ZError:  # the session is closed
+                    return
+                act(item)
+
+        thread = threading.Thread(target=loop, name=f"{self.name} {act.__name__}", daemon=True)
+        thread.start()
+        self._threads.append(thread)
+
+    def _appear(self) -> None:
+        """Become visible; the subscriptions are declared before, so that whoever sees us reaches us."""
+        self._liveliness = self._session.liveliness().declare_token(self._keys.alive(self.name, self._token))
+
+    def close(self) -> None:
+        self.leave()
+
+    def leave(self) -> None:
+        """End without a word; safe twice."""
+        if self._closed:
+            return
+        self._closed = True
+        self._alarm.close()
+        with suppress(zenoh.ZError):  # it could not tell the others in time; it is closed all the same
+            self._session.close()  # type: ignore[no-untyped-call]
+        for thread in self._threads:
+            thread.join()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_exception: object) -> None:
+        self.close()
+
+
+@dataclass(frozen=True)
+class _Member:
+    """A process that was admitted: the token of its liveliness, and where it runs."""
+
+    token: str
+    where: str
+
+
+class ZenohHub(ZenohEndpoint):
+    """The hub's endpoint: see `network.transport.Hub`, and `open_hub`."""
+
+    def __init__(  # noqa: PLR0917
+        self,
+        session: zenoh.Session,
+        keys: _Keys,
+        run: str,
+        endpoints: tuple[str, ...],
+        folder: Path | None,
+        tamper: Tamper | None,
+    ) -> None:
+        super().__init__(session, keys, run, HUB, tamper)
+        self.endpoints = endpoints
+        self._run = run
+        self._folder = folder
+        self._members: dict[str, _Member] = {}
+        self._alive: dict[str, bool] = {}  # by token; False: it was alive
+        self._watch("*", self._liveliness_changed)
+        joining = session.declare_queryable(keys.join("*"), zenoh.handlers.FifoChannel(_INBOX))
+        self._serve(joining.recv, self._answer)
+        self._appear()
+
+    @property
+    def peers(self) -> frozenset[str]:
+        with self._changed:
+            return frozenset(name for name, member in self._members.items() if self._alive.get(member.token))
+
+    def await_peers(
+        self, names: Collection[str], timeout: float, waiting: Callable[[list[str]], None] = lambda _: None
+    ) -> None:
+        watch = Waiting(names, timeout, waiting)
+        while watch.missing(present := self.peers):
+            with self._changed:
+                self._changed.wait_for(lambda: self.peers != present, watch.left())
+
+    def close(self) -> None:
+        self.leave()
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _liveliness_changed(self, name: str, token: str, alive: bool) -> None:
+        with self._changed:
+            self._alive[token] = alive
+            member = self._members.get(name)
+            if member is not None and member.token == token and not alive:
+                self._lose(name, f"{member.where} ended without saying so, was killed, or is cut off")
+            self._changed.notify_all()
+
+    def _answer(self, query: zenoh.Query) -> None:
+        """Let a process join, or tell it why not. Whoever asks under an impossible name gets no answer."""
+        name = str(query.key_expr).rpartition("/")[2]
+        with query, suppress(ValueError, zenoh.ZError):  # ZError: it has gone again
+            answer = Streams(self._run, HUB)
+            try:
+                refusal = self._admit(name, b"" if query.payload is None else query.payload.to_bytes())
+            except WireError as error:
+                refusal = str(error)
+            kind, body = (Kind.FAILURE, encode_object({"message": refusal})) if refusal else (Kind.WELCOME, [])
+            query.reply(query.key_expr, answer.encode(check_name(name, "process"), kind, 0, body))
+
+    def _admit(self, name: str, hello: bytes) -> str | None:
+        """Take a process in; why not, if not.
+
+        Raises:
+            WireError: it speaks another version, or does not belong here.
+        """
+        content = decode_object(Streams(self._run, HUB).decode(name, hello).expect(Kind.HELLO, 0))
+        member = _Member(str(content.get("token")), str(content.get("where")))
+        with self._changed:
+            if name == HUB or self._members.setdefault(name, member).token != member.token:
+                return name_is_used(name)
+            self._changed.notify_all()
+        return None
+
+
+class ZenohClient(ZenohEndpoint):
+    """The endpoint of a process that is not the hub: see `network.transport.Endpoint`, and `connect`."""
+
+    def __init__(self, session: zenoh.Session, keys: _Keys, run: str, name: str, tamper: Tamper | None) -> None:
+        super().__init__(session, keys, run, name, tamper)
+        self._run = run
+        self._hub_is_there = False
+        self._watch(HUB, self._hub_changed)
+        self._appear()
+
+    def join(self, deadline: float) -> None:
+        """Ask the hub, as soon as it is there.
+
+        Raises:
+            TransportTimeout: it is not there at `deadline` (of `time.monotonic`), or does not answer.
+            Refused: it says no.
+        """
+        where = f"process {os.getpid()} on {socket.gethostname()}"
+        content = {"token": self._token, "where": where}
+        hello = Streams(self._run, self.name).encode(HUB, Kind.HELLO, 0, encode_object(content))
+        while True:
+            with self._changed:
+                left = deadline - time.monotonic()
+                if not self._changed.wait_for(lambda: self._hub_is_there, left):
+                    raise TransportTimeout(f"{self.name}: {HUB} of run {self._run} is not there, or does not answer")
+            replies = self._session.get(self._keys.join(self.name), payload=hello, timeout=max(0.01, left))
+            for reply in replies:
+                if reply.ok is not None:
+                    self._welcomed(reply.ok.payload.to_bytes())
+                    return
+
+    def _welcomed(self, answer: bytes) -> None:
+        try:
+            envelope = Streams(self._run, self.name).decode(HUB, answer)
+            if envelope.kind is Kind.FAILURE:
+                raise Refused(f"{self.name} may not join run {self._run}: {decode_object(envelope).get('message')}")
+            envelope.expect(Kind.WELCOME, 0)
+        except WireError as error:
+            raise Refused(f"{self.name} cannot join run {self._run}: {error}") from error
+
+    def _hub_changed(self, _name: str, _token: str, alive: bool) -> None:
+        with self._changed:
+            if not alive and self._hub_is_there:
+                self._lose(HUB, "it ended without saying so, was killed, or the connection to it is gone")
+            self._hub_is_there = alive
+            self._changed.notify_all()
+
+    def send(self, receiver: str, kind: Kind, tick: int, *parts: Part) -> None:
+        if self._losses:
+            raise self._losses[0]
+        super().send(receiver, kind, tick, *parts)
+
+    def close(self) -> None:
+        if not self._closed and not self._losses:
+            with suppress(zenoh.ZError):
+                self.send(HUB, Kind.BYE, 0)
+        self.leave()
+
+
+def open_hub(
+    run: str,
+    *,
+    listen: Sequence[str] = (),
+    connect: Sequence[str] = (),
+    namespace: str | None = None,
+    settings: Mapping[str, object] | None = None,
+    timeout: float = 10.0,
+    tamper: Tamper | None = None,
+) -> ZenohHub:
+    """Open the centre of a run.
+
+    Args:
+        run: identifies the run.
+        listen: Zenoh endpoints, such as `tcp/127.0.0.1:7447`; if neither this nor `connect` is given, a Unix socket in
+            a new folder that only this user can enter.
+        connect: endpoints of a router of the user's, instead.
+        namespace: keeps runs on one router apart.
+        settings: of Zenoh, by path (`transport/link/tls/…`), added to ours.
+        timeout: seconds to reach `connect`.
+        tamper: for tests.
+
+    Raises:
+        TransportError: an endpoint cannot be listened to or reached.
+        Refused: the run has an orchestrator.
+    """
+    keys = _keys(run, namespace)
+    folder = None
+    if not listen and not connect:
+        folder = _private_folder()
+        listen = [f"unixsock-stream/{folder / 'hub'}"]
+    own = {"mode": "router", "listen/endpoints": list(listen), _WAIT: int(HUB_STALL * 1e6)}
+    if connect:
+        own = _connecting(connect, timeout)
+    try:
+        session = _open({**own, **(settings or {})})
+    except zenoh.ZError as error:
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+        verb, where = ("reach", connect) if connect else ("listen at", listen)
+        raise TransportError(f"{HUB}: cannot {verb} {', '.join(where)}: {error}") from error
+    if connect and any(reply.ok for reply in session.liveliness().get(keys.alive(HUB, "*"), timeout=timeout)):
+        session.close()  # type: ignore[no-untyped-call]
+        raise Refused(f"run {run} has an orchestrator already")
+    return ZenohHub(session, keys, run, tuple(connect or listen), folder, tamper)
+
+
+def connect(
+    run: str,
+    name: str,
+    endpoints: Sequence[str],
+    *,
+    namespace: str | None = None,
+    settings: Mapping[str, object] | None = None,
+    timeout: float = 10.0,
+    tamper: Tamper | None = None,
+) -> ZenohClient:
+    """Join a run as `name`; the hub need not be there yet.
+
+    Args:
+        run: identifies the run.
+        name: of this process; no other of the run has, or had, it.
+        endpoints: `Hub.endpoints`, or those of the user's router.
+        namespace: as in `open_hub`.
+        settings: as in `open_hub`.
+        timeout: seconds for all of it.
+        tamper: for tests.
+
+    Raises:
+        TransportTimeout: no orchestrator of that run was found.
+        Refused: it says why this process may not join.
+    """
+    deadline = time.monotonic() + timeout
+    keys = _keys(run, namespace)
+    check_name(name, "process")
+    try:
+        session = _open({**_connecting(endpoints, timeout), **(settings or {})})
+    except zenoh.ZError as error:
+        raise TransportTimeout(f"{name}: nobody answers at {', '.join(endpoints)}: {error}") from error
+    endpoint = ZenohClient(session, keys, run, name, tamper)
+    try:
+        endpoint.join(deadline)
+    except BaseException:
+        endpoint.leave()
+        raise
+    return endpoint
+
+
+def _private_folder() -> Path:
+    """A new folder of mode 0700 whose path leaves room for a name: that of a socket has at most 107 bytes."""
+    folder = Path(tempfile.mkdtemp(prefix="cosim-"))
+    if len(os.fsencode(folder)) > 80:
+        folder.rmdir()
+        folder = Path(tempfile.mkdtemp(prefix="cosim-", dir="/tmp"))
+    return folder

@@ -1,0 +1,259 @@
+"""Bodies: what was sent comes out to the bit; whatever does not fit what the receiver knows is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from network.codec import (
+    Block,
+    decode_fates,
+    decode_mail,
+    decode_object,
+    decode_rows,
+    decode_samples,
+    encode_fates,
+    encode_mail,
+    encode_object,
+    encode_rows,
+    encode_samples,
+)
+from network.envelope import Envelope, Kind, Part, Streams, WireError
+from network.messages import NEVER, Deliveries, Fate, Fates, Floats, Ints
+
+T = 100_000_000
+N_AGENTS = 9
+blocks = st.integers(0, 4).flatmap(
+    lambda n: st.builds(
+        Block,
+        st.tuples(*[st.integers(0, 3)] * n),
+        st.tuples(*[st.integers(0, 3)] * n),
+        st.integers(0, 4),
+        st.just(T),
+    )
+)
+
+
+def sent(parts: list[Part], tick: int = 5, kind: Kind = Kind.SAMPLES) -> Envelope:
+    """Through the wire."""
+    frame = Streams("run", "worker-1").encode("emulator", kind, tick, parts)
+    return Streams("run", "emulator").decode("worker-1", frame)
+
+
+def floats(draw: Callable[..., Any], *shape: int) -> Floats:
+    """Any numbers: infinities, negative zeros and NaNs among them."""
+    values: Floats = draw(arrays.arrays(np.float64, shape, elements=st.floats()))
+    return values
+
+
+def ints(*values: int) -> Ints:
+    return np.array(values, np.int64)
+
+
+def same(a: Floats | Ints, b: Floats | Ints) -> bool:
+    """Equal to the bit, and safe from being written to."""
+    return (
+        a.shape == b.shape and a.dtype == b.dtype and a.tobytes() == b.tobytes() and not (b.size and b.flags.writeable)
+    )
+
+
+@st.composite
+def deliveries(draw: st.DrawFn, block: Block, agent: int, tick: int) -> Deliveries:
+    """Mail that the emulator could send."""
+    n = draw(st.integers(0, 4)) if block.neighbours[agent] else 0
+    arrival = np.sort(draw(arrays.arrays(np.int64, n, elements=st.integers(tick * T, (tick + 1) * T - 1))))
+    slot = draw(arrays.arrays(np.int64, n, elements=st.integers(0, max(0, block.neighbours[agent] - 1))))
+    stamp = draw(arrays.arrays(np.int64, n, elements=st.integers(0, tick)))
+    return Deliveries(arrival, slot, stamp, floats(draw, n, block.width))
+
+
+@st.composite
+def fates(draw: st.DrawFn, tick: int) -> Fates:
+    """Fates that the emulator could tell at a tick."""
+    n = draw(st.integers(0, 4))
+    sender, receiver = (draw(arrays.arrays(np.int64, n, elements=st.integers(0, N_AGENTS - 1))) for _ in range(2))
+    sent_at = draw(arrays.arrays(np.int64, n, elements=st.integers(0, tick)))
+    fate = draw(arrays.arrays(np.int64, n, elements=st.sampled_from([int(fate) for fate in Fate])))
+    arrival = draw(arrays.arrays(np.int64, n, elements=st.integers(0, 10**12)))
+    return Fates(sender, receiver, sent_at // 2, sent_at, np.where(fate == Fate.LOST, NEVER, arrival), fate)
+
+
+@given(st.data(), blocks)
+def test_samples_come_out(data: st.DataObject, block: Block) -> None:
+    messages = [data.draw(st.sampled_from([floats(data.draw, block.width), np.zeros(0)])) for _ in block.neighbours]
+    came = decode_samples(block, sent(encode_samples(block, messages)))
+    rows = [message if len(message) else np.zeros(block.width) for message in messages]
+    assert same(np.array(rows).reshape(len(block), block.width), came)
+
+
+@given(st.data(), blocks, st.integers(0, 10))
+def test_mail_comes_out(data: st.DataObject, block: Block, tick: int) -> None:
+    mail = [data.draw(deliveries(block, agent, tick)) for agent in range(len(block))]
+    came = decode_mail(block, sent(encode_mail(block, mail), tick))
+    assert len(came) == len(mail)
+    for theirs, ours in zip(mail, came, strict=True):
+        assert same(theirs.arrival_ns, ours.arrival_ns)
+        assert same(theirs.slot, ours.slot)
+        assert same(theirs.stamp, ours.stamp)
+        assert same(theirs.values, ours.values)
+
+
+@given(st.data(), blocks, st.integers(0, 3))
+def test_rows_come_out(data: st.DataObject, block: Block, n_ticks: int) -> None:
+    ticks = [[floats(data.draw, width) for width in block.widths] for _ in range(n_ticks)]
+    came = decode_rows(block, sent(encode_rows(block, ticks)))
+    assert len(came) == n_ticks
+    for theirs, ours in zip(ticks, came, strict=True):
+        assert all(same(a, b) for a, b in zip(theirs, ours, strict=True))
+
+
+@given(st.data(), st.integers(0, 10), st.integers(0, 3))
+def test_fates_come_out(data: st.DataObject, tick: int, n_ticks: int) -> None:
+    ticks = [data.draw(fates(tick + i)) for i in range(n_ticks)]
+    came = decode_fates(N_AGENTS, sent(encode_fates(ticks), tick))
+    assert len(came) == n_ticks
+    for theirs, ours in zip(ticks, came, strict=True):
+        for name in ("sender", "receiver", "stamp", "sent", "arrival_ns", "fate"):
+            assert same(getattr(theirs, name), getattr(ours, name))
+
+
+def test_arrays_in_any_order_of_memory_come_out() -> None:
+    block = Block((1, 1), (3, 3), 3, T)
+    values = np.arange(12.0).reshape(6, 2).T[:, ::2]
+    assert same(np.array(values), decode_samples(block, sent(encode_samples(block, list(values)))))
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3),
+    max_leaves=5,
+)
+
+
+@given(st.dictionaries(st.text(max_size=5), json_values, max_size=4))
+def test_objects_come_out(content: dict[str, object]) -> None:
+    assert decode_object(sent(encode_object(content))) == content
+
+
+# --- what does not fit -------------------------------------------------------------------------------------------
+BLOCK = Block((2, 0, 1), (1, 2, 0), 2, T)
+MAIL = [
+    Deliveries(ints(5 * T, 5 * T + 7), ints(1, 0), ints(4, 5), np.ones((2, 2))),
+    Deliveries(ints(), ints(), ints(), np.ones((0, 2))),
+    Deliveries(ints(5 * T + 3), ints(0), ints(0), np.ones((1, 2))),
+]
+FATES = Fates(ints(0, 8), ints(1, 0), ints(3, 5), ints(4, 5), ints(NEVER, 6 * T), ints(Fate.LOST, Fate.DELIVERED))
+ROWS = [[np.ones(1), np.ones(2), np.ones(0)]] * 2
+GOOD: list[tuple[Callable[[Envelope], object], list[Part]]] = [
+    (lambda envelope: decode_samples(BLOCK, envelope), encode_samples(BLOCK, [np.ones(2)] * 3)),
+    (lambda envelope: decode_mail(BLOCK, envelope), encode_mail(BLOCK, MAIL)),
+    (lambda envelope: decode_rows(BLOCK, envelope), encode_rows(BLOCK, ROWS)),
+    (lambda envelope: decode_fates(N_AGENTS, envelope), encode_fates([FATES, FATES])),
+    (decode_object, encode_object({"a": [1, 2]})),
+]
+
+
+@pytest.mark.parametrize(("decode", "parts"), GOOD)
+def test_bodies_of_any_other_length_are_refused(decode: Callable[[Envelope], object], parts: list[Part]) -> None:
+    body = b"".join(parts)
+    decode(sent([body]))
+    for other in [*(body[:length] for length in range(len(body))), body + b"\1", body + bytes(8)]:
+        with pytest.raises(WireError, match=r"^message from worker-1: the body of SAMPLES of tick 5 "):
+            decode(sent([other]))
+
+
+@given(st.data(), st.sampled_from(GOOD))
+def test_any_change_of_a_body_is_refused_or_harmless(
+    data: st.DataObject, good: tuple[Callable[[Envelope], object], list[Part]]
+) -> None:
+    decode, parts = good
+    body = bytearray(b"".join(parts) or b"\0" * 8)
+    for _ in range(data.draw(st.integers(1, 3))):
+        at = data.draw(st.integers(0, len(body) - 1))
+        body[at] = data.draw(st.integers(0, 255))
+    with suppress(WireError):
+        decode(sent([body]))
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "what"),
+    [
+        ("arrival_ns", ints(5 * T - 1, 5 * T), "arrives outside its tick"),
+        ("arrival_ns", ints(5 * T, 6 * T), "arrives outside its tick"),
+        ("arrival_ns", ints(5 * T + 1, 5 * T), "arrives before the one ahead of it"),
+        ("slot", ints(2, 0), "is from no in-neighbour"),
+        ("slot", ints(-1, 0), "is from no in-neighbour"),
+        ("stamp", ints(6, 0), "has an impossible stamp"),
+        ("stamp", ints(0, -1), "has an impossible stamp"),
+    ],
+)
+def test_mail_that_no_emulator_sends_is_refused(column: str, values: Ints, what: str) -> None:
+    changes: dict[str, Any] = {column: values}
+    mail = [replace(MAIL[0], **changes), *MAIL[1:]]
+    with pytest.raises(WireError, match=f"the body of MAIL of tick 5 has a message that {what}"):
+        decode_mail(BLOCK, sent(encode_mail(BLOCK, mail), kind=Kind.MAIL))
+
+
+def test_mail_for_an_agent_without_neighbours_is_refused() -> None:
+    with pytest.raises(WireError, match="is from no in-neighbour"):
+        decode_mail(BLOCK, sent(encode_mail(BLOCK, [MAIL[1], MAIL[0], MAIL[1]])))
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "what"),
+    [
+        ("sender", ints(0, N_AGENTS), "names no agent"),
+        ("receiver", ints(-1, 0), "names no agent"),
+        ("stamp", ints(3, 6), "has an impossible stamp"),
+        ("stamp", ints(-1, 5), "has an impossible stamp"),
+        ("sent", ints(4, 6), "has an impossible stamp"),
+        ("fate", ints(Fate.LOST, len(Fate)), "has an unknown fate"),
+        ("fate", ints(Fate.LOST, -1), "has an unknown fate"),
+        ("fate", ints(Fate.DELIVERED, Fate.DELIVERED), "is lost and arrives, or neither"),
+        ("arrival_ns", ints(NEVER, -2), "arrives before the run"),
+    ],
+)
+def test_fates_that_no_emulator_tells_are_refused(column: str, values: Ints, what: str) -> None:
+    with pytest.raises(WireError, match=f"has a message that {what}"):
+        decode_fates(N_AGENTS, sent(encode_fates([replace(FATES, **{column: values})])))
+
+
+@pytest.mark.parametrize("count", [-1, 2**31, 2**62, 2**63 - 1])
+def test_absurd_counts_are_refused_before_memory_is_asked_for(count: int) -> None:
+    head: list[Part] = [ints(count).data]
+    for decode in (lambda e: decode_rows(BLOCK, e), lambda e: decode_fates(N_AGENTS, e)):
+        with pytest.raises(WireError, match="announces"):
+            decode(sent(head))
+    with pytest.raises(WireError, match="announces more than it holds"):
+        decode_mail(BLOCK, sent([ints(count, count, count).data]))
+
+
+@pytest.mark.parametrize("tick", [-1, 2**62 // T + 1, 2**63 - 1, -(2**63)])
+def test_ticks_beyond_any_run_are_refused(tick: int) -> None:
+    with pytest.raises(WireError, match="is of no tick of any run"):
+        decode_mail(BLOCK, sent(encode_mail(BLOCK, MAIL), tick))
+
+
+@pytest.mark.parametrize("tick", [-1, 2**63 - 1])
+def test_fates_beyond_any_run_are_refused(tick: int) -> None:
+    with pytest.raises(WireError, match="is of no tick of any run"):
+        decode_fates(N_AGENTS, sent(encode_fates([FATES]), tick))
+
+
+def test_rows_of_another_size_are_not_sent() -> None:
+    with pytest.raises(ValueError, match=r"rows must have \(1, 2, 0\) numbers"):
+        encode_rows(BLOCK, [[np.ones(2), np.ones(1), np.ones(0)]])
+
+
+@pytest.mark.parametrize("body", [b"\xff", b"[1]", b"1", b"", b"{", b"[" * 100_000])
+def test_what_is_no_object_is_refused(body: bytes) -> None:
+    with pytest.raises(WireError, match="is not"):
+        decode_object(sent([body]))
