@@ -87,6 +87,12 @@ def _run(args: argparse.Namespace) -> int:
     return running.main(args)
 
 
+def _process(args: argparse.Namespace) -> NoReturn:
+    from cosim.distributed import serving
+
+    serving.main(args)
+
+
 def _report(args: argparse.Namespace) -> int:
     from cosim.reporting import report
 
@@ -164,6 +170,18 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--out", type=Path, metavar="DIR", help="where the results go (default: runs/<name>/<timestamp>)")
     run.add_argument("--quiet", action="store_true", help="print nothing but problems")
     run.add_argument("--no-report", dest="report", action="store_false", help="leave out the figures and report.html")
+    across = run.add_argument_group("across processes, with the same results")
+    across.add_argument("--distributed", action="store_true", help="run emulator and agents in processes of their own")
+    across.add_argument(
+        "--workers", metavar="N", help="processes that carry the agents, or 'per-agent' (default: cores)"
+    )
+    across.add_argument(
+        "--step-deadline",
+        type=_seconds,
+        default=30.0,
+        metavar="TIME",
+        help="longest time in which nobody gets further, such as '2 min' (default: 30 s)",
+    )
 
     check = _command(
         commands, "check", _check, "validate a scenario, open its components, and say what can be expected"
@@ -184,7 +202,25 @@ def _parser() -> argparse.ArgumentParser:
     )
 
     _command(commands, "schema", _schema, "print the JSON schema of a scenario, for editors")
+    process = commands.add_parser("_process")  # what `cosim run --distributed` starts; not for people
+    process.add_argument("name")
+    process.add_argument("run")
+    process.add_argument("endpoint")
+    process.add_argument("scratch", type=Path)
+    process.set_defaults(command=_process)
     return parser
+
+
+def _seconds(text: str) -> float:
+    from network.units import parse_duration, to_seconds
+
+    try:
+        duration = parse_duration(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    if duration <= 0:
+        raise argparse.ArgumentTypeError(f"{text!r} leaves no time")
+    return to_seconds(duration)
 
 
 def _command(

@@ -95,6 +95,12 @@ class RunError(CosimError):
         super().__init__(text + (f"\n  its last log line: {log}" if log else ""))
 
 
+class ClusterError(CosimError):
+    """A process of a distributed run was lost, hangs, or said what it must not; names it, its agents and the tick."""
+
+    exit_code = 3
+
+
 def suggest(wrong: str, known: Iterable[str]) -> str:
     """` (did you mean 'x'?)` for the nearest known name, else the list of known names if it is short, else nothing."""
     names = list(known)

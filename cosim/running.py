@@ -6,13 +6,15 @@ import argparse
 import itertools
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
+from typing import Any, Protocol
 
 from cosim.components.component import Floats
-from cosim.errors import CosimError, RunError
-from cosim.inline import Interrupted, run
+from cosim.errors import ClusterError, CosimError, RunError
+from cosim.inline import Interrupted, Observer, run
 from cosim.plan import Plan
 from cosim.progress import Disagreement, Progress
 from cosim.recording.recorder import Recorder
@@ -41,13 +43,14 @@ def main(args: argparse.Namespace) -> int:
     for warning in planned.warnings:
         print(warning, file=sys.stderr)
     plan = planned.plan
-    recorder = Recorder(plan, run_folder(plan.name, args.out))
+    play, details = _way_to_play(args, plan)
+    recorder = Recorder(plan, run_folder(plan.name, args.out), details)
     summary = _Summary(plan)
     stop = StopRequest()
     with stop.listening(), Progress(plan, quiet=args.quiet) as progress:
         recorder.open()
         try:
-            run(plan, [recorder, summary, progress], stop)
+            play([recorder, summary, progress], stop)
         except Interrupted as interrupted:
             reached = f"t = {interrupted.tick * plan.period:.9g} s"
             recorder.close(f"aborted: interrupted at {reached}")
@@ -62,12 +65,30 @@ def main(args: argparse.Namespace) -> int:
     return _draw(recorder.folder, quiet=args.quiet) if args.report else 0
 
 
+class _Play(Protocol):
+    def __call__(self, observers: Sequence[Observer], stop_requested: Callable[[], bool]) -> None:
+        """Play the plan to its end."""
+
+
+def _way_to_play(args: argparse.Namespace, plan: Plan) -> tuple[_Play, dict[str, Any]]:
+    """In this process, or across several; and what the manifest says of it."""
+    if not args.distributed:
+        if args.workers is not None:
+            raise CosimError("--workers is for runs across processes; add --distributed")
+        return partial(run, plan), {}
+    from cosim.distributed import cluster
+
+    n_workers = cluster.count_workers(args.workers, len(plan.agents))
+    play = partial(cluster.run, plan, n_workers, step_deadline=args.step_deadline)
+    return play, {"distributed": {"workers": n_workers}}
+
+
 def _close_after(error: BaseException, recorder: Recorder) -> None:
     """Leave a readable run folder behind a failure."""
     reason = str(error) if isinstance(error, CosimError) else f"{type(error).__name__}: {error}"
     with suppress(CosimError):  # the first failure is the one to tell
         recorder.close(f"aborted: {reason.splitlines()[0]}")
-    if isinstance(error, RunError):
+    if isinstance(error, (RunError, ClusterError)):
         print(f"everything until then is in {recorder.folder}", file=sys.stderr)
 
 

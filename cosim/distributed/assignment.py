@@ -1,0 +1,152 @@
+"""Who does what: which worker carries which agents, and the job that every process is handed."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cosim.errors import ClusterError
+from cosim.plan import Plan
+from cosim.scenario.names import in_short
+from network.codec import Block, decode_object, encode_object
+from network.transport import HUB, Envelope, Kind, Part, WireError
+
+ORCHESTRATOR = HUB
+EMULATOR = "emulator"
+
+_WINDOW_BYTES = 32 << 20
+_WINDOW_TICKS = 4096
+_WINDOWS_PARTS = 4
+
+
+@dataclass(frozen=True)
+class Message:
+    """What a state machine wants sent.
+
+    Attributes:
+        receiver: name of a process.
+        tick: that it is about; of the first one for a batch.
+        parts: the body, in pieces.
+    """
+
+    receiver: str
+    kind: Kind
+    tick: int
+    parts: Sequence[Part] = ()
+
+
+def divide(n_agents: int, n_workers: int) -> dict[str, range]:
+    """Contiguous blocks of agents in the order of the file, as even as can be, by worker.
+
+    Args:
+        n_agents: how many agents.
+        n_workers: how many workers are wanted; no more than agents are used.
+    """
+    n_workers = min(n_workers, n_agents)
+    ends = [n_agents * i // n_workers for i in range(n_workers + 1)]
+    return {f"worker-{i + 1}": range(ends[i], ends[i + 1]) for i in range(n_workers)}
+
+
+def blocks(plan: Plan, workers: Mapping[str, range]) -> dict[str, Block]:
+    """What both ends of a stream know of each worker's agents."""
+    return {
+        name: Block(
+            neighbours=tuple(len(agent.neighbours) for agent in plan.agents[block.start : block.stop]),
+            widths=tuple(
+                sum(port.variable.size for _, port in agent.record) for agent in plan.agents[block.start : block.stop]
+            ),
+            width=plan.layout.width,
+            period_ns=plan.period_ns,
+        )
+        for name, block in workers.items()
+    }
+
+
+def window_ticks(plan: Plan) -> int:
+    """How many ticks the emulator may be ahead of what is recorded: bounds the memory of the rows under way."""
+    per_tick = 8 * sum(port.variable.size for agent in plan.agents for _, port in agent.record) + 48 * len(plan.links)
+    return max(_WINDOWS_PARTS, min(_WINDOW_TICKS, _WINDOW_BYTES // max(1, per_tick)))
+
+
+def batch_ticks(plan: Plan) -> int:
+    """After how many ticks rows, fates and grants are sent on, if time does not ask for it earlier."""
+    return window_ticks(plan) // _WINDOWS_PARTS
+
+
+def carried(plan: Plan, name: str, workers: Mapping[str, range]) -> str:
+    """A process as people are told of it: `worker-1 (agents 1..5)`."""
+    if name not in workers:
+        return f"the {name}"
+    names = in_short(plan.agents[i].name for i in workers[name])
+    return f"{name} (agent{'' if len(workers[name]) == 1 else 's'} {names})"
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a process needs to begin; each plans for itself.
+
+    Attributes:
+        scenario: resolved, as YAML text.
+        sha256: of every component's file, agent by agent.
+        workers: the agents of every worker.
+    """
+
+    scenario: str
+    sha256: tuple[str, ...]
+    workers: Mapping[str, range]
+
+    @classmethod
+    def of(cls, plan: Plan, workers: Mapping[str, range]) -> Job:
+        """The job of carrying out a plan."""
+        return cls(plan.scenario, _hashes(plan), workers)
+
+    def encode(self) -> list[Part]:
+        """As the body of a message."""
+        workers = {name: [block.start, block.stop] for name, block in self.workers.items()}
+        return encode_object({"scenario": self.scenario, "sha256": list(self.sha256), "workers": workers})
+
+    @classmethod
+    def decode(cls, envelope: Envelope) -> Job:
+        """The job in a message.
+
+        Raises:
+            WireError: there is none.
+        """
+        tree: dict[str, Any] = decode_object(envelope.expect(Kind.SCENARIO))
+        try:
+            workers = {str(name): range(int(first), int(stop)) for name, (first, stop) in tree["workers"].items()}
+            return cls(str(tree["scenario"]), tuple(map(str, tree["sha256"])), workers)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise WireError(envelope.sender, f"the message holds no job: {error!r}") from error
+
+    def plan(self) -> Plan:
+        """Plan the scenario anew.
+
+        Raises:
+            ConfigError: the scenario cannot be planned here.
+            ClusterError: a component's file is not the one that the orchestrator planned with.
+        """
+        from cosim import planning
+        from cosim.scenario.reading import read_scenario
+
+        with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
+            path = Path(folder) / "scenario.yaml"
+            path.write_text(self.scenario, encoding="utf-8")
+            plan = planning.plan(read_scenario(path, path.name)).plan
+        if _hashes(plan) != self.sha256:
+            different = _first_difference(plan, self.sha256)
+            raise ClusterError(f"the file of component {different} is not the one that the orchestrator has")
+        return plan
+
+
+def _hashes(plan: Plan) -> tuple[str, ...]:
+    return tuple(component.description.sha256 for agent in plan.agents for component in agent.components)
+
+
+def _first_difference(plan: Plan, expected: Sequence[str]) -> str:
+    names = [f"{component.name} of agent {agent.name}" for agent in plan.agents for component in agent.components]
+    pairs = zip(names, _hashes(plan), expected, strict=False)
+    return next((name for name, here, there in pairs if here != there), "(another number of them)")

@@ -1,0 +1,160 @@
+"""The life of a process of a distributed run, other than the orchestrator: join, take a job, serve until the end.
+
+It ends by itself, and leaves nothing behind, as soon as the orchestrator is gone: its connection breaks, and the pipe
+that is its standard input, which only the orchestrator holds open, ends. The latter is noticed even while a component
+hangs in native code.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import sys
+import tempfile
+import threading
+import time
+import traceback
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import NoReturn, Protocol
+
+from cosim.distributed.assignment import EMULATOR, ORCHESTRATOR, Job, Message
+from cosim.distributed.emulation import Emulation
+from cosim.distributed.failure import OPENING, Failure
+from cosim.distributed.worker import Worker
+from cosim.errors import ClusterError, CosimError
+from network.transport import Endpoint, Envelope, Kind, PeerLost, Refused, TransportTimeout, WireError
+
+FLUSH_SECONDS = 0.05
+"""How long rows and fates may be held back."""
+
+_IDLE_SECONDS = 1.0
+_JOIN_SECONDS = 30.0
+_GRACE_SECONDS = 0.5
+EXIT_ORPHANED = 4
+"""Exit code of a process whose orchestrator is gone."""
+
+
+class Machine(Protocol):
+    """What a worker and the emulator have in common."""
+
+    finished: bool
+
+    @property
+    def holds_back(self) -> bool:
+        """Whether `flush` would send something."""
+
+    def prepare(self) -> list[Message]:
+        """Before anything else."""
+
+    def handle(self, envelope: Envelope) -> list[Message]:
+        """What a message asks for."""
+
+    def flush(self) -> list[Message]:
+        """What is held back."""
+
+    def close(self) -> None:
+        """At the end."""
+
+
+def machine(name: str, job: Job) -> Machine:
+    """The state machine of the process of that name."""
+    plan = job.plan()
+    return Emulation(plan, job.workers) if name == EMULATOR else Worker(plan, name, job.workers)
+
+
+def send(endpoint: Endpoint, messages: Sequence[Message]) -> None:
+    """Send messages in their order."""
+    for message in messages:
+        endpoint.send(message.receiver, message.kind, message.tick, *message.parts)
+
+
+def serve(endpoint: Endpoint) -> None:
+    """Take a job from the orchestrator and carry it out until its BYE.
+
+    Raises:
+        PeerLost: the orchestrator is gone.
+    """
+    served: Machine | None = None
+    try:
+        while served is None:
+            envelope = _next(endpoint, _IDLE_SECONDS)
+            if envelope is not None and envelope.kind is Kind.BYE:
+                return
+            if envelope is not None:
+                served = machine(endpoint.name, Job.decode(envelope))
+        send(endpoint, served.prepare())
+        _carry_out(endpoint, served)
+    except PeerLost:
+        raise
+    except Exception as error:
+        expected = isinstance(error, (CosimError, WireError))
+        text = str(error) if expected else f"{type(error).__name__}: {error}\n{traceback.format_exc()}"
+        failure = Failure(OPENING, 0, ClusterError(text.rstrip()))
+        endpoint.send(ORCHESTRATOR, Kind.FAILURE, 0, *failure.encode())
+        _await_farewell(endpoint)
+    finally:
+        if served is not None:
+            served.close()
+
+
+def _carry_out(endpoint: Endpoint, served: Machine) -> None:
+    flushed = time.monotonic()
+    while not served.finished:
+        envelope = _next(endpoint, FLUSH_SECONDS if served.holds_back else _IDLE_SECONDS)
+        if envelope is not None:
+            send(endpoint, served.handle(envelope))
+        now = time.monotonic()
+        if envelope is None or now - flushed > FLUSH_SECONDS:
+            send(endpoint, served.flush())
+            flushed = now
+
+
+def _next(endpoint: Endpoint, timeout: float) -> Envelope | None:
+    """The next message, None if there is none in time."""
+    try:
+        return endpoint.receive(timeout)
+    except TransportTimeout:
+        return None
+
+
+def _await_farewell(endpoint: Endpoint) -> None:
+    said_farewell = False
+    while not said_farewell:
+        with suppress(WireError):  # one failure is enough
+            envelope = _next(endpoint, _IDLE_SECONDS)
+            said_farewell = envelope is not None and envelope.kind is Kind.BYE and envelope.sender == ORCHESTRATOR
+
+
+# --- the process ------------------------------------------------------------------------------------------------------
+
+
+def main(args: argparse.Namespace) -> NoReturn:
+    """What `cosim` starts for every worker and for the emulator; see `cosim.distributed.cluster`."""
+    tempfile.tempdir = str(args.scratch)
+    threading.Thread(target=_guard, args=(args.scratch,), name="guard", daemon=True).start()
+    from network.zenoh import connect
+
+    code = 0
+    try:
+        serve(connect(args.run, args.name, [args.endpoint], timeout=_JOIN_SECONDS))
+    except PeerLost:
+        shutil.rmtree(args.scratch, ignore_errors=True)
+        code = EXIT_ORPHANED
+    except (Refused, TransportTimeout) as error:
+        print(f"error: {args.name} cannot join the run: {error}", file=sys.stderr)
+        code = EXIT_ORPHANED
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)  # closing a session can take seconds while others of the run close theirs, and nothing needs it
+
+
+def _guard(scratch: Path) -> None:
+    """End the process once the orchestrator is gone, whatever its main thread is doing."""
+    while os.read(0, 1):
+        pass
+    time.sleep(_GRACE_SECONDS)
+    shutil.rmtree(scratch, ignore_errors=True)  # the orchestrator cannot do it any more
+    os._exit(EXIT_ORPHANED)

@@ -1,0 +1,122 @@
+"""A worker: carries some of the agents. Pure given their components: envelopes in, messages out.
+
+It publishes tick 0 when it is granted to begin, advances its agents whenever the mail of a tick comes in, and hands
+over what is recorded in batches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from cosim.agent import Agent
+from cosim.distributed.assignment import EMULATOR, ORCHESTRATOR, Message, batch_ticks, blocks
+from cosim.distributed.failure import INITIALISING, OPENING, Failure
+from cosim.errors import ConfigError, RunError
+from cosim.inline import open_agents, terminate
+from cosim.plan import Plan
+from network import codec
+from network.messages import Deliveries, Floats
+from network.transport import Envelope, Kind, WireError
+
+
+class Worker:
+    """The call order is `prepare`, then `handle` and `flush` as they come until `finished`, then `close`.
+
+    Args:
+        plan: of the whole run.
+        name: of this worker.
+        workers: the agents of every worker.
+    """
+
+    def __init__(self, plan: Plan, name: str, workers: Mapping[str, range]) -> None:
+        self._plan = plan
+        self._block = workers[name]
+        self._batch_ticks = batch_ticks(plan)
+        self._agents: list[Agent] = []
+        self._wire = blocks(plan, workers)[name]
+        self._rows: list[list[Floats]] = []
+        self._tick = 0
+        self._started = self._failed = False
+        self.finished = False
+
+    @property
+    def holds_back(self) -> bool:
+        """Whether `flush` would send something."""
+        return bool(self._rows)
+
+    def prepare(self) -> list[Message]:
+        """Open the agents and bring them to tick 0."""
+        own = self._plan.agents[self._block.start : self._block.stop]
+        try:
+            self._agents = open_agents(replace(self._plan, agents=own))
+        except (RunError, ConfigError) as error:
+            return self._fail(Failure(OPENING, self._index_of(error), error))
+        for agent in self._agents:
+            try:
+                agent.initialise(self._plan.ticks * self._plan.period_ns)
+            except RunError as error:
+                return self._fail(Failure(INITIALISING, agent.plan.index, error))
+        return [Message(ORCHESTRATOR, Kind.READY, 0)]
+
+    def handle(self, envelope: Envelope) -> list[Message]:
+        """Whatever a message asks for.
+
+        Raises:
+            WireError: it is not this message's turn, or it does not hold what it should.
+        """
+        if envelope.kind is Kind.BYE and envelope.sender == ORCHESTRATOR:
+            self.finished = True
+            return []
+        if self._failed:  # what was under way when it failed
+            return []
+        if not self._started:
+            envelope.expect(Kind.GRANT)
+            self._started = True
+            return self._publish()
+        envelope.expect(Kind.MAIL, self._tick)
+        if self._tick == self._plan.ticks:
+            raise WireError(envelope.sender, f"mail of tick {self._tick}, at which the run ends")
+        return self._advance(codec.decode_mail(self._wire, envelope))
+
+    def flush(self) -> list[Message]:
+        """Hand over the rows that are held back."""
+        if not self._rows:
+            return []
+        rows, self._rows = self._rows, []
+        first = self._tick + 1 - len(rows)
+        return [Message(ORCHESTRATOR, Kind.ROWS, first, codec.encode_rows(self._wire, rows))]
+
+    def close(self) -> None:
+        """End all agents."""
+        terminate(self._agents)
+
+    def _advance(self, mail: tuple[Deliveries, ...]) -> list[Message]:
+        for agent, deliveries in zip(self._agents, mail, strict=True):
+            try:
+                agent.advance(self._tick, deliveries)
+            except RunError as error:
+                return self._fail(Failure(self._tick, agent.plan.index, error))
+        self._tick += 1
+        return self._publish()
+
+    def _publish(self) -> list[Message]:
+        """The sample of the current tick, and the rows if there are enough."""
+        self._rows.append([agent.row() for agent in self._agents])
+        if self._tick == self._plan.ticks:
+            return [*self.flush(), Message(ORCHESTRATOR, Kind.DONE, self._tick)]
+        samples = codec.encode_samples(self._wire, [agent.message() for agent in self._agents])
+        messages = [Message(EMULATOR, Kind.SAMPLES, self._tick, samples)]
+        return messages + self.flush() if len(self._rows) >= self._batch_ticks else messages
+
+    def _fail(self, failure: Failure) -> list[Message]:
+        self._failed = True
+        return [*self.flush(), Message(ORCHESTRATOR, Kind.FAILURE, max(0, failure.tick), failure.encode())]
+
+    def _index_of(self, error: RunError | ConfigError) -> int:
+        """The agent that an error is about; the first, if it does not say."""
+        own = self._plan.agents[self._block.start : self._block.stop]
+        return next(
+            (agent.index for agent in own if isinstance(error, RunError) and agent.name == error.agent),
+            self._block.start,
+        )

@@ -1,0 +1,79 @@
+"""Components for networks of little ones: a node that averages what it hears, and nodes with a fault of some kind."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+from collections.abc import Mapping
+from typing import Any
+
+from cosim.components.python import Input, Output, Parameter, PythonComponent, State, Structural
+
+
+class Node(PythonComponent):
+    """x' = mean of what is heard - x; publishes x."""
+
+    count = Structural(0)
+    heard = Input(shape=("count", 2))
+    stamp = Input(-1, shape=("count",), dtype="Int64")
+    at = Parameter(math.inf, unit="s", description="when the fault of a derived class happens")
+    x = State(shape=(2,))
+    y = Output(shape=(2,), depends_on=())
+
+    def outputs(self, time: float) -> None:
+        self.y = self.x
+
+    def derivatives(self, time: float) -> Mapping[str, Any]:
+        if time >= self.at:
+            self.fault(time)
+        known = self.stamp >= 0
+        pull = self.heard[known].mean(axis=0) if known.any() else 0.0
+        return {"x": pull - self.x + math.sin(time)}
+
+    def fault(self, time: float) -> None:
+        """None."""
+
+
+class Failing(Node):
+    """Raises."""
+
+    def fault(self, time: float) -> None:
+        raise ValueError("the gearbox is broken")
+
+
+class Hanging(Node):
+    """Never comes back."""
+
+    def fault(self, time: float) -> None:
+        while True:
+            signal.pause()
+
+
+class Killed(Node):
+    """The whole process is killed."""
+
+    def fault(self, time: float) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+class Stopped(Node):
+    """The whole process is stopped."""
+
+    def fault(self, time: float) -> None:
+        os.kill(os.getpid(), signal.SIGSTOP)
+
+
+class Exiting(Node):
+    """The process ends without a word."""
+
+    def fault(self, time: float) -> None:
+        os._exit(7)
+
+
+class OrphanMaker(Node):
+    """Kills the process that started this one."""
+
+    def fault(self, time: float) -> None:
+        os.kill(os.getppid(), signal.SIGKILL)
+        signal.pause()

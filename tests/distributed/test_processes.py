@@ -1,0 +1,278 @@
+"""Distributed runs as people start them: real processes over Zenoh; their results, their faults, what they leave."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cosim.distributed import cluster
+from cosim.errors import ClusterError
+from cosim.inline import Interrupted
+from network.messages import Fates, Floats
+from tests.distributed.networks import Record, in_process, planned, ring, scenario
+
+ROOT = Path(__file__).parents[2]
+
+
+def command(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "cosim", "run", *arguments, "--no-report"]
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """All temporary files go to `folder`, so that what is left behind is seen."""
+    return {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(folder)}
+
+
+def cosim(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Returns when the command, and all that it started, are gone: they share its output."""
+    return subprocess.run(
+        command(*arguments),
+        cwd=folder,
+        env=environment(folder),
+        text=True,
+        capture_output=True,
+        timeout=120,
+        check=False,
+    )
+
+
+def manifest(folder: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((folder / "manifest.json").read_text())
+    return content
+
+
+def assert_nothing_left(folder: Path) -> None:
+    """No temporary folder or socket, and no process that was told of one."""
+    assert list(folder.glob("cosim-*")) == []
+    lines = [path.read_bytes() for path in Path("/proc").glob("[0-9]*/cmdline") if path.exists()]
+    assert [line for line in lines if b"_process" in line and str(folder).encode() in line] == []
+
+
+@pytest.fixture
+def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return tmp_path
+
+
+class At:
+    """An observer that does something when a tick is recorded."""
+
+    def __init__(self, tick: int, act: Any) -> None:
+        self._tick = tick
+        self._act = act
+
+    def tick(self, tick: int, rows: Sequence[Floats]) -> None:
+        if tick == self._tick:
+            self._act()
+
+    def fates(self, fates: Fates) -> None:
+        pass
+
+
+def child(name: str) -> int:
+    """The process of that name among those that this one started."""
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (path / "cmdline").read_bytes().split(b"\0")
+            parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
+        except OSError:
+            continue
+        if parent == os.getpid() and b"_process" in words and name.encode() in words:
+            return int(path.name)
+    raise LookupError(name)
+
+
+def assert_begins(record: Record, whole: Record) -> None:
+    """All that was recorded is what the in-process run records."""
+    assert record.calls == whole.calls[: len(record.calls)]
+    assert record.ticks == whole.ticks[: len(record.ticks)]
+    assert record.fates_of == whole.fates_of[: len(record.fates_of)]
+
+
+# --- results ----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("config", "workers"),
+    [
+        ("channel_sine", "1"),
+        ("paper_known_velocity", "2"),
+        ("paper_leaderless", "3"),
+        ("paper_leaders", None),
+        ("paper_leaders", "per-agent"),
+    ],
+)
+def test_digest_is_that_of_the_in_process_run(config: str, workers: str | None, tmp_path: Path) -> None:
+    how = ["--distributed", *(["--workers", workers] if workers else [])]
+    across = cosim(tmp_path, config, *how, "--until", "1 s", "--out", "across")
+    assert across.returncode == 0, across.stderr
+    plain = cosim(tmp_path, config, "--until", "1 s", "--out", "plain")
+    assert plain.returncode == 0, plain.stderr
+    digest = manifest(tmp_path / "plain")["digest"]
+    assert manifest(tmp_path / "across")["digest"] == digest
+    assert manifest(tmp_path / "across")["status"] == "complete"
+    assert digest in across.stdout
+    assert across.stdout.splitlines()[1:-1] == plain.stdout.splitlines()[1:-1]
+    assert_nothing_left(tmp_path)
+
+
+def test_longer_than_a_window_of_grants(scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cosim.distributed.assignment._WINDOW_TICKS", 8)
+    plan = planned(scenario(4, ring(4), "slack", ticks=300))
+    expected, _ = in_process(plan)
+    record = Record()
+    cluster.run(plan, 2, [record])
+    assert record == expected
+    assert_nothing_left(scratch)
+
+
+def test_component_that_fails_ends_the_run_as_in_process(tmp_path: Path) -> None:
+    text = scenario(5, ring(5), "slack", faults={3: ("Failing", 0.55), 4: ("Failing", 0.55)})
+    (tmp_path / "net.yaml").write_text(text)
+    plain = cosim(tmp_path, "net.yaml", "--out", "plain")
+    across = cosim(tmp_path, "net.yaml", "--out", "across", "--distributed", "--workers", "3")
+    assert plain.returncode == across.returncode == 3
+    assert across.stderr.splitlines()[-2:] == plain.stderr.replace("plain", "across").splitlines()  # after progress
+    assert "agent 3, component node, at t = 0.5" in across.stderr
+    one, other = manifest(tmp_path / "plain"), manifest(tmp_path / "across")
+    assert (one["status"], one["digest"], one["ticks"]) == (other["status"], other["digest"], other["ticks"])
+    assert_nothing_left(tmp_path)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupt_leaves_a_readable_run_folder(number: signal.Signals, tmp_path: Path) -> None:
+    with subprocess.Popen(
+        command("paper_leaders", "--distributed", "--until", "10 h", "--out", "long"),
+        cwd=tmp_path,
+        env=environment(tmp_path),
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        process_group=0,
+    ) as run:
+        assert run.stderr is not None
+        shown = run.stderr.readline()
+        assert "s simulated" in shown
+        os.killpg(run.pid, number) if number is signal.SIGINT else run.send_signal(number)  # as a terminal does
+        _, error = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert "interrupted at t = " in error
+    assert "Traceback" not in error
+    content = manifest(tmp_path / "long")
+    assert content["status"].startswith("aborted: interrupted at t = ")
+    assert_nothing_left(tmp_path)
+
+
+def test_request_to_stop_is_heard_while_nothing_moves(scratch: Path) -> None:
+    plan = planned(scenario(3, ring(3), faults={2: ("Hanging", 0.35)}))
+    asked = count()
+    with pytest.raises(Interrupted):
+        cluster.run(plan, 2, [Record()], lambda: next(asked) > 200)  # well after the first ticks
+    assert_nothing_left(scratch)
+
+
+# --- faults -----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("tick", "channel"), [(0, "ideal"), (3, "slack"), (7, "late")])
+def test_worker_that_is_killed(tick: int, channel: str, scratch: Path) -> None:
+    faults = {3: ("Killed", tick / 10 + 0.05)}
+    plan = planned(scenario(4, ring(4), channel, faults=faults))
+    expected, _ = in_process(planned(scenario(4, ring(4), channel)))
+    record = Record()
+    with pytest.raises(ClusterError) as caught:
+        cluster.run(plan, 2, [record])
+    said = re.fullmatch(
+        r"worker-2 \(agents 3, 4\) was killed by signal 9 \(SIGKILL, as the system does when memory runs out\); "
+        r"last heard of at tick (\d+) \(t = \S+ s\)\n  waiting for it: the emulator, worker-1 \(agents 1, 2\)",
+        str(caught.value),
+    )
+    assert said is not None, str(caught.value)
+    assert int(said[1]) <= tick  # what it had just sent may have died with it
+    assert_begins(record, expected)
+    assert_nothing_left(scratch)
+
+
+@pytest.mark.parametrize("name", ["emulator", "worker-1", "worker-2"])
+def test_process_that_is_killed_from_outside_at_any_moment(name: str, scratch: Path) -> None:
+    plan = planned(scenario(4, ring(4), "slack", ticks=20_000))
+    record = Record()
+    with pytest.raises(ClusterError, match=rf"^(the )?{name} .*was killed by signal 9 .* at tick \d+ ") as caught:
+        cluster.run(plan, 2, [record, At(100, lambda: os.kill(child(name), signal.SIGKILL))])
+    assert "waiting for it: " in str(caught.value)
+    expected, _ = in_process(planned(scenario(4, ring(4), "slack", ticks=len(record.ticks))))
+    assert len(record.ticks) > 100
+    assert_begins(Record(record.ticks, [], []), Record(expected.ticks, [], []))
+    assert_nothing_left(scratch)
+
+
+@pytest.mark.parametrize(
+    ("fault", "deadline", "said"),
+    [
+        ("Hanging", 0.5, "did not get further for 0.5 s"),
+        ("Stopped", 0.5, "is stopped by signal 19 (SIGSTOP)"),
+        ("Stopped", 60.0, "is stopped by signal 19 (SIGSTOP)"),
+        ("Exiting", 60.0, "ended with exit code 7"),
+    ],
+)
+def test_worker_that_does_not_go_on(fault: str, deadline: float, said: str, scratch: Path) -> None:
+    plan = planned(scenario(3, ring(3), "slack", faults={2: (fault, 0.45)}))
+    expected, _ = in_process(planned(scenario(3, ring(3), "slack")))
+    record = Record()
+    with pytest.raises(ClusterError) as caught:
+        cluster.run(plan, 3, [record], step_deadline=deadline)
+    found = re.fullmatch(
+        rf"worker-2 \(agent 2\) {re.escape(said)}; last heard of at tick (\d+) \(t = \S+ s\)\n"
+        r"  waiting for it: the emulator, worker-1 \(agent 1\), worker-3 \(agent 3\)",
+        str(caught.value),
+    )
+    assert found is not None, str(caught.value)
+    assert int(found[1]) <= 4
+    assert_begins(record, expected)
+    assert_nothing_left(scratch)
+
+
+def test_fault_on_the_command_line(tmp_path: Path) -> None:
+    (tmp_path / "net.yaml").write_text(scenario(3, ring(3), faults={1: ("Killed", 0.45)}))
+    done = cosim(tmp_path, "net.yaml", "--distributed", "--out", "out", "--workers", "3")
+    assert done.returncode == 3
+    assert "Traceback" not in done.stderr
+    assert "error: worker-1 (agent 1) was killed by signal 9 " in done.stderr
+    assert "everything until then is in out" in done.stderr
+    assert manifest(tmp_path / "out")["status"].startswith("aborted: worker-1 (agent 1) was killed by signal 9 ")
+    assert_nothing_left(tmp_path)
+
+
+@pytest.mark.parametrize("others", [{}, {3: ("Hanging", 0.15)}], ids=["waiting", "one hangs"])
+def test_orchestrator_that_is_killed_takes_all_with_it(others: dict[int, tuple[str, float]], tmp_path: Path) -> None:
+    text = scenario(3, ring(3), "late", ticks=50, faults={1: ("OrphanMaker", 0.35), **others})
+    (tmp_path / "net.yaml").write_text(text)
+    done = cosim(tmp_path, "net.yaml", "--distributed", "--out", "out", "--workers", "3")
+    assert done.returncode == -signal.SIGKILL
+    assert "Traceback" not in done.stderr
+    assert_nothing_left(tmp_path)
+
+
+# --- arguments --------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--distributed", "--workers", "0"], "--workers 0: write a number from 1, or 'per-agent'"),
+        (["--distributed", "--workers", "many"], "--workers many: write a number from 1, or 'per-agent'"),
+        (["--workers", "2"], "--workers is for runs across processes; add --distributed"),
+        (["--distributed", "--step-deadline", "soon"], "'soon' is not a time"),
+        (["--distributed", "--step-deadline", "0 s"], "'0 s' leaves no time"),
+    ],
+)
+def test_mistakes_are_said_before_anything_starts(arguments: list[str], said: str, tmp_path: Path) -> None:
+    done = cosim(tmp_path, "paper_leaders", *arguments)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert not (tmp_path / "runs").exists()
