@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import os
 import secrets
-import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -20,6 +18,7 @@ from cosim.distributed.serving import FLUSH_SECONDS, send
 from cosim.errors import ClusterError, CosimError
 from cosim.inline import Interrupted, Observer
 from cosim.plan import Plan
+from cosim.scratch import Scratch
 from network.transport import Hub, Kind, PeerLost, TransportError, TransportTimeout, WireError
 from network.units import to_seconds
 
@@ -78,21 +77,11 @@ def run(
         Interrupted: `stop_requested` said so.
     """
     workers = divide(len(plan.agents), n_workers)
-    with _scratch_folder() as scratch, _hub(scratch) as (run_id, hub), _Processes((EMULATOR, *workers)) as processes:
+    with Scratch() as scratch, _hub(scratch) as (run_id, hub), _Processes((EMULATOR, *workers)) as processes:
         processes.start(run_id, hub.endpoints[0], scratch)
         orchestration = Orchestration(plan, workers, observers)
         supervisor = Supervisor(plan, workers, hub, processes, orchestration, stop_requested, step_deadline)
         supervisor.run()
-
-
-@contextmanager
-def _scratch_folder() -> Iterator[Path]:
-    """A private folder for the socket and for whatever the processes unpack."""
-    folder = Path(tempfile.mkdtemp(prefix="cosim-"))
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextmanager

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import atexit
-import contextlib
 import hashlib
 import os
-import shutil
 import stat
-import sys
 import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO
 
 from cosim.errors import ConfigError, Location, Problem
-
-if sys.platform != "win32":  # there an open file cannot be removed: a killed process leaves its folder
-    import fcntl
+from cosim.scratch import Scratch
 
 _LIBRARY_SUFFIXES = {".so", ".dll", ".dylib"}
 
@@ -108,45 +102,18 @@ def _escapes(member: zipfile.ZipInfo) -> str:
     return ""
 
 
-_PREFIX = "cosim-"
-_LOCK = "lock"
-_scratch_folders: dict[int, tuple[Path, BinaryIO]] = {}
+_scratches: dict[int, Scratch] = {}
 
 
 def _scratch() -> Path:
-    """The folder of this process (a forked child gets its own), mode 0700."""
+    """The folder of this process; a forked child gets its own."""
     process = os.getpid()
-    if process not in _scratch_folders:
-        _sweep()
-        folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
-        _scratch_folders[process] = folder, _hold(folder)
+    if process not in _scratches:
+        _scratches[process] = Scratch()
         atexit.register(_remove, process)
-    return _scratch_folders[process][0]
+    return _scratches[process].path
 
 
 def _remove(process: int) -> None:
     if process == os.getpid():
-        folder, lock = _scratch_folders.pop(process)
-        lock.close()
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _hold(folder: Path) -> BinaryIO:
-    """Lock the folder for as long as this process lives; the lock's file gets its name once it is locked."""
-    new = folder / "new"
-    file = new.open("wb")
-    if sys.platform != "win32":
-        fcntl.flock(file, fcntl.LOCK_EX)
-        new.rename(folder / _LOCK)
-    return file
-
-
-def _sweep() -> None:
-    """Remove the folders of this user's processes that were killed: those whose lock nobody holds."""
-    if sys.platform == "win32":
-        return
-    for path in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*/{_LOCK}"):
-        with contextlib.suppress(OSError), path.open("rb") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if path.stat().st_uid == os.getuid():
-                shutil.rmtree(path.parent, ignore_errors=True)
+        _scratches[process].remove()
