@@ -223,7 +223,7 @@ class PythonLoop:
             error = length * _combine(_DP_E, k)
             scale = coupling.absolute_tolerance + coupling.relative_tolerance * np.maximum(np.abs(x), np.abs(new))
             ratios = np.abs(error) / scale
-            ratio = float(np.max(ratios)) if x.size else 0.0
+            ratio = float(np.max(ratios))
             factor = 5.0 if ratio == 0.0 else min(5.0, max(0.2, 0.9 * math.pow(ratio, -0.2)))
             if not math.isfinite(ratio):
                 self._check_states(new)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from network.messages import NEVER, Deliveries, Floats, Ints
+from network.units import NANOSECONDS_PER_SECOND
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,6 @@ class Mailbox:
             contiguous(arrival_ns),
             contiguous(slots),
             contiguous(stamps),
-            (stamps * self._period_ns) / 1e9,
+            stamps * self._period_ns / NANOSECONDS_PER_SECOND,
             contiguous(values),
         )

@@ -1,6 +1,7 @@
 """The freshest-stamp rule (eq. k_t) against its definition, for any order of arrival."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -46,3 +47,18 @@ def test_update_carries_sample_time_and_values() -> None:
     updates = Mailbox(4, PERIOD_NS).accept(deliveries([(2, 7)]))
     assert updates.time.tolist() == [0.7]
     assert updates.values.tolist() == [[2.0, 7.0]]
+
+
+@pytest.mark.parametrize(
+    "pairs", [[(0, 1), (1, 2), (2, 3)], [(0, 2), (0, 1), (1, 5)]], ids=["all accepted", "one stale"]
+)
+def test_updates_are_contiguous_whatever_the_deliveries_are_views_of(pairs: list[tuple[int, int]]) -> None:
+    """The native loop reads them by address; the emulator hands out columns of a table."""
+    plain = deliveries(pairs)
+    columns = np.stack([plain.arrival_ns, plain.slot, plain.stamp], axis=1)
+    strided = Deliveries(columns[:, 0], columns[:, 1], columns[:, 2], np.asfortranarray(plain.values))
+    expected, updates = Mailbox(4, PERIOD_NS).accept(plain), Mailbox(4, PERIOD_NS).accept(strided)
+    for name in ("arrival_ns", "slot", "stamp", "time", "values"):
+        array = getattr(updates, name)
+        assert array.flags.c_contiguous, name
+        assert np.array_equal(array, getattr(expected, name)), name
