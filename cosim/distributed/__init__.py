@@ -1,6 +1,6 @@
 """A run across processes: the same agents, emulator and master as in-process, in processes of their own.
 
 The orchestrator drives the clock and records; one process emulates the network; worker processes carry the agents.
-`worker`, `emulation` and `orchestration` are pure state machines: envelopes in, messages out. `serving` and `cluster`
-are the loops around them that know processes, deadlines and an `Endpoint`.
+`worker`, `emulation` and `orchestration` are pure state machines: envelopes in, messages out. `serving` and
+`supervision` are the loops around them that know deadlines and an `Endpoint`; `processes` starts them, `cluster` joins all.
 """
