@@ -27,7 +27,7 @@ _MOST_TICKS = 2**20  # in one message
 
 @dataclass(frozen=True)
 class Block:
-    """The agents of one worker, which follow each other in the order of the file; known to both ends of a stream.
+    """The agents of one worker, in the order of the file; known to both ends of a stream.
 
     Attributes:
         neighbours: per agent, how many in-neighbours it has.

@@ -2,5 +2,6 @@
 
 The orchestrator drives the clock and records; one process emulates the network; worker processes carry the agents.
 `worker`, `emulation` and `orchestration` are pure state machines: envelopes in, messages out. `serving` and
-`supervision` are the loops around them that know deadlines and an `Endpoint`; `processes` starts them, `cluster` joins all.
+`supervision` are the loops around them that know deadlines and an `Endpoint`; `processes` starts them, `cluster` joins
+all.
 """

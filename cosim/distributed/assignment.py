@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias, TypeVar
 
 from cosim.errors import ClusterError
 from cosim.plan import Plan
@@ -20,6 +20,27 @@ EMULATOR = "emulator"
 _WINDOW_BYTES = 32 << 20
 _WINDOW_TICKS = 4096
 _WINDOWS_PARTS = 4
+_T = TypeVar("_T")
+
+Share: TypeAlias = range | tuple[int, ...]
+"""Which agents a worker carries, by index and in ascending order; a range where they follow each other."""
+
+
+def share_of(indices: Iterable[int]) -> Share:
+    """A worker's agents, given in any order."""
+    ordered = tuple(sorted(indices))
+    contiguous = range(ordered[0], ordered[-1] + 1) if ordered else range(0)
+    return contiguous if len(contiguous) == len(ordered) else ordered
+
+
+def pick(things: Sequence[_T], share: Share) -> Sequence[_T]:
+    """Those of a worker's agents, of things that there is one of per agent."""
+    return things[share.start : share.stop] if isinstance(share, range) else tuple(things[i] for i in share)
+
+
+def rows_of(share: Share) -> slice | list[int]:
+    """The index of a worker's agents in an array with one row per agent."""
+    return slice(share.start, share.stop) if isinstance(share, range) else list(share)
 
 
 @dataclass(frozen=True)
@@ -38,7 +59,7 @@ class Message:
     parts: Sequence[Part] = ()
 
 
-def divide(n_agents: int, n_workers: int) -> dict[str, range]:
+def divide(n_agents: int, n_workers: int) -> dict[str, Share]:
     """Contiguous blocks of agents in the order of the file, as even as can be, by worker.
 
     Args:
@@ -50,18 +71,16 @@ def divide(n_agents: int, n_workers: int) -> dict[str, range]:
     return {f"worker-{i + 1}": range(ends[i], ends[i + 1]) for i in range(n_workers)}
 
 
-def blocks(plan: Plan, workers: Mapping[str, range]) -> dict[str, Block]:
+def blocks(plan: Plan, workers: Mapping[str, Share]) -> dict[str, Block]:
     """What both ends of a stream know of each worker's agents."""
     return {
         name: Block(
-            neighbours=tuple(len(agent.neighbours) for agent in plan.agents[block.start : block.stop]),
-            widths=tuple(
-                sum(port.variable.size for _, port in agent.record) for agent in plan.agents[block.start : block.stop]
-            ),
+            neighbours=tuple(len(agent.neighbours) for agent in pick(plan.agents, share)),
+            widths=tuple(sum(port.variable.size for _, port in agent.record) for agent in pick(plan.agents, share)),
             width=plan.layout.width,
             period_ns=plan.period_ns,
         )
-        for name, block in workers.items()
+        for name, share in workers.items()
     }
 
 
@@ -76,7 +95,7 @@ def batch_ticks(plan: Plan) -> int:
     return window_ticks(plan) // _WINDOWS_PARTS
 
 
-def carried(plan: Plan, name: str, workers: Mapping[str, range]) -> str:
+def carried(plan: Plan, name: str, workers: Mapping[str, Share]) -> str:
     """A process as people are told of it: `worker-1 (agents 1..5)`."""
     if name not in workers:
         return f"the {name}"
@@ -96,16 +115,16 @@ class Job:
 
     scenario: str
     sha256: tuple[str, ...]
-    workers: Mapping[str, range]
+    workers: Mapping[str, Share]
 
     @classmethod
-    def of(cls, plan: Plan, workers: Mapping[str, range]) -> Job:
+    def of(cls, plan: Plan, workers: Mapping[str, Share]) -> Job:
         """The job of carrying out a plan."""
         return cls(plan.scenario, _hashes(plan), workers)
 
     def encode(self) -> list[Part]:
         """As the body of a message."""
-        workers = {name: [block.start, block.stop] for name, block in self.workers.items()}
+        workers = {name: list(share) for name, share in self.workers.items()}
         return encode_object({"scenario": self.scenario, "sha256": list(self.sha256), "workers": workers})
 
     @classmethod
@@ -117,7 +136,7 @@ class Job:
         """
         tree: dict[str, Any] = decode_object(envelope.expect(Kind.SCENARIO))
         try:
-            workers = {str(name): range(int(first), int(stop)) for name, (first, stop) in tree["workers"].items()}
+            workers = {str(name): share_of(map(int, agents)) for name, agents in tree["workers"].items()}
             return cls(str(tree["scenario"]), tuple(map(str, tree["sha256"])), workers)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise WireError(envelope.sender, f"the message holds no job: {error!r}") from error

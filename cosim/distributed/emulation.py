@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cosim.distributed.assignment import ORCHESTRATOR, Message, batch_ticks, blocks
+from cosim.distributed.assignment import ORCHESTRATOR, Message, Share, batch_ticks, blocks, pick, rows_of
 from cosim.plan import Plan
 from network import codec
 from network.emulator import Emulator
@@ -25,7 +25,7 @@ class Emulation:
         workers: the agents of every worker.
     """
 
-    def __init__(self, plan: Plan, workers: Mapping[str, range]) -> None:
+    def __init__(self, plan: Plan, workers: Mapping[str, Share]) -> None:
         self._plan = plan
         self._workers = workers
         self._wire = blocks(plan, workers)
@@ -80,13 +80,13 @@ class Emulation:
 
     def _collect(self, envelope: Envelope) -> None:
         """Put a worker's samples where they belong; publish the ticks that become complete."""
-        block = self._workers.get(envelope.sender)
-        if block is None:
+        share = self._workers.get(envelope.sender)
+        if share is None:
             raise WireError(envelope.sender, "it carries no agents, but sent samples")
         tick = envelope.expect(Kind.SAMPLES, self._next_samples[envelope.sender]).tick
         if tick not in self._samples:
             self._samples[tick] = np.empty((len(self._plan.agents), self._plan.layout.width))
-        self._samples[tick][block.start : block.stop] = codec.decode_samples(self._wire[envelope.sender], envelope)
+        self._samples[tick][rows_of(share)] = codec.decode_samples(self._wire[envelope.sender], envelope)
         self._next_samples[envelope.sender] = tick + 1
         if self._exchanged == self._plan.ticks:  # with slack, the last samples are of no consequence
             self._samples.clear()
@@ -108,8 +108,7 @@ class Emulation:
         return messages + self.flush() if len(self._fates) >= self._batch_ticks else messages
 
     def _mail(self, name: str, exchange: Exchange) -> list[Part]:
-        block = self._workers[name]
-        return codec.encode_mail(self._wire[name], exchange.deliveries[block.start : block.stop])
+        return codec.encode_mail(self._wire[name], pick(exchange.deliveries, self._workers[name]))
 
     def _finish(self) -> list[Message]:
         """The last fates, and those of what is still in flight, which go under the last tick."""

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.distributed.assignment import EMULATOR, Job, Message, batch_ticks, blocks, window_ticks
+from cosim.distributed.assignment import EMULATOR, Job, Message, Share, batch_ticks, blocks, window_ticks
 from cosim.distributed.failure import Failure
 from cosim.inline import Observer
 from cosim.master import Finish, Master
@@ -47,11 +47,13 @@ class Orchestration:
         observers: told of every tick and every fate, in order.
     """
 
-    def __init__(self, plan: Plan, workers: Mapping[str, range], observers: Sequence[Observer]) -> None:
+    def __init__(self, plan: Plan, workers: Mapping[str, Share], observers: Sequence[Observer]) -> None:
         self._plan = plan
         self._workers = dict(workers)
         self._wire = blocks(plan, workers)
         self._index = {name: index for index, name in enumerate(workers)}
+        indices = [agent for share in workers.values() for agent in share]
+        self._order = None if indices == sorted(indices) else np.argsort(indices).tolist()  # of rows as they come
         self._observers = observers
         self._master = Master(len(workers), 0, plan.ticks)
         self._unready = {EMULATOR, *workers}
@@ -188,6 +190,8 @@ class Orchestration:
         for name, index in self._index.items():
             rows += self._rows[name].popleft()
             self._over = isinstance(self._master.published(index, tick, _NO_MESSAGE), Finish)
+        if self._order is not None:
+            rows = [rows[i] for i in self._order]
         for observer in self._observers:
             observer.tick(tick, rows)
         self.recorded = tick
@@ -201,7 +205,7 @@ class Orchestration:
         if failure.tick < 0:
             raise failure.error
         all_before = self._master.tick > failure.tick and not self._rows_done
-        earlier = (name for name, block in self._workers.items() if block.stop <= failure.agent)
+        earlier = (name for name, share in self._workers.items() if share[0] < failure.agent)
         if all_before and all(name in self._failures or self._rows[name] for name in earlier):
             raise failure.error
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 
-from cosim.distributed.assignment import EMULATOR, carried
+from cosim.distributed.assignment import EMULATOR, Share, carried
 from cosim.distributed.orchestration import Orchestration
 from cosim.distributed.processes import Processes
 from cosim.distributed.serving import FLUSH_SECONDS, send
@@ -40,7 +40,7 @@ class Supervisor:
     def __init__(  # noqa: PLR0917
         self,
         plan: Plan,
-        workers: Mapping[str, range],
+        workers: Mapping[str, Share],
         hub: Hub,
         processes: Processes,
         orchestration: Orchestration,

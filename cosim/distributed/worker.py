@@ -6,15 +6,15 @@ over what is recorded in batches.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from cosim.agent import Agent
-from cosim.distributed.assignment import EMULATOR, ORCHESTRATOR, Message, batch_ticks, blocks
+from cosim.distributed.assignment import EMULATOR, ORCHESTRATOR, Message, Share, batch_ticks, blocks, pick
 from cosim.distributed.failure import INITIALISING, OPENING, Failure
 from cosim.errors import ConfigError, RunError
 from cosim.inline import open_agents, terminate
-from cosim.plan import Plan
+from cosim.plan import AgentPlan, Plan
 from network import codec
 from network.messages import Deliveries, Floats
 from network.transport import Envelope, Kind, WireError
@@ -29,9 +29,9 @@ class Worker:
         workers: the agents of every worker.
     """
 
-    def __init__(self, plan: Plan, name: str, workers: Mapping[str, range]) -> None:
+    def __init__(self, plan: Plan, name: str, workers: Mapping[str, Share]) -> None:
         self._plan = plan
-        self._block = workers[name]
+        self._share = workers[name]
         self._batch_ticks = batch_ticks(plan)
         self._agents: list[Agent] = []
         self._wire = blocks(plan, workers)[name]
@@ -41,15 +41,18 @@ class Worker:
         self.finished = False
 
     @property
+    def _own(self) -> Sequence[AgentPlan]:
+        return pick(self._plan.agents, self._share)
+
+    @property
     def holds_back(self) -> bool:
         """Whether `flush` would send something."""
         return bool(self._rows)
 
     def prepare(self) -> list[Message]:
         """Open the agents and bring them to tick 0."""
-        own = self._plan.agents[self._block.start : self._block.stop]
         try:
-            self._agents = open_agents(replace(self._plan, agents=own))
+            self._agents = open_agents(replace(self._plan, agents=tuple(self._own)))
         except (RunError, ConfigError) as error:
             return self._fail(Failure(OPENING, self._index_of(error), error))
         for agent in self._agents:
@@ -115,8 +118,7 @@ class Worker:
 
     def _index_of(self, error: RunError | ConfigError) -> int:
         """The agent that an error is about; the first, if it does not say."""
-        own = self._plan.agents[self._block.start : self._block.stop]
         return next(
-            (agent.index for agent in own if isinstance(error, RunError) and agent.name == error.agent),
-            self._block.start,
+            (agent.index for agent in self._own if isinstance(error, RunError) and agent.name == error.agent),
+            self._share[0],
         )

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 
-from cosim.distributed.assignment import EMULATOR, Job, divide
+from cosim.distributed.assignment import EMULATOR, Job, Share, divide
 from cosim.distributed.orchestration import Orchestration
 from cosim.distributed.serving import Machine, machine, send
 from cosim.inline import Observer
@@ -19,7 +19,7 @@ class Loopback:
 
     Args:
         plan: what to run.
-        n_workers: how many workers.
+        workers: how many workers, or the agents of each.
         observers: of the run.
         order: decides whose turn it is; some processes may be slower than others.
         tamper: sees every frame.
@@ -28,12 +28,13 @@ class Loopback:
     def __init__(
         self,
         plan: Plan,
-        n_workers: int,
+        workers: int | Mapping[str, Share],
         observers: Sequence[Observer],
         order: random.Random,
         tamper: Tamper | None = None,
     ) -> None:
-        workers = divide(len(plan.agents), n_workers)
+        if isinstance(workers, int):
+            workers = divide(len(plan.agents), workers)
         self._network = InMemoryNetwork("loopback", tamper)
         self._hub = self._network.hub()
         self._endpoints: dict[str, Endpoint] = {name: self._network.connect(name) for name in (EMULATOR, *workers)}

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cosim.distributed.assignment import Share, share_of
 from cosim.errors import RunError
 from cosim.planning import load
 from network.transport import WireError
@@ -18,15 +19,26 @@ from tests.distributed.networks import Record, in_process, planned, ring, scenar
 SHIPPED = ["channel_sine", "paper_known_velocity", "paper_leaderless", "paper_leaders"]
 
 
+OWNERS = st.lists(st.sampled_from(["a", "b", "c", "d"]), min_size=5, max_size=5)
+
+
+def shares(owners: Sequence[str], n_agents: int) -> dict[str, Share]:
+    """The agents of each owner, in any order of owners, not always next to each other."""
+    owned: dict[str, list[int]] = {}
+    for agent, owner in enumerate(owners[:n_agents]):
+        owned.setdefault(owner, []).append(agent)
+    return {owner: share_of(agents) for owner, agents in sorted(owned.items())}
+
+
 @settings(deadline=None, max_examples=40)
-@given(text=scenarios(), n_workers=st.integers(1, 5), seed=st.integers(0, 2**31))
+@given(text=scenarios(), owners=OWNERS, seed=st.integers(0, 2**31))
 def test_any_small_network_in_any_order_gives_what_the_in_process_run_gives(
-    text: str, n_workers: int, seed: int
+    text: str, owners: Sequence[str], seed: int
 ) -> None:
     plan = planned(text)
     expected, _ = in_process(plan)
     record = Record()
-    Loopback(plan, n_workers, [record], random.Random(seed)).run()
+    Loopback(plan, shares(owners, len(plan.agents)), [record], random.Random(seed)).run()
     assert record == expected
 
 
@@ -44,11 +56,11 @@ def test_shipped_scenario(config: str, n_workers: int) -> None:
 @given(
     agents=st.lists(st.tuples(st.integers(1, 5), st.integers(0, 9)), min_size=1, max_size=3),
     channel=st.sampled_from(["ideal", "slack", "late"]),
-    n_workers=st.integers(1, 5),
+    owners=OWNERS,
     seed=st.integers(0, 2**31),
 )
 def test_of_several_failures_it_is_the_first_that_ends_the_run(
-    agents: Sequence[tuple[int, int]], channel: str, n_workers: int, seed: int
+    agents: Sequence[tuple[int, int]], channel: str, owners: Sequence[str], seed: int
 ) -> None:
     faults = {agent: ("Failing", tick / 10 + 0.05) for agent, tick in agents}
     plan = planned(scenario(5, ring(5), channel, faults=faults))
@@ -56,7 +68,7 @@ def test_of_several_failures_it_is_the_first_that_ends_the_run(
     assert isinstance(failure, RunError)
     record = Record()
     with pytest.raises(RunError) as caught:
-        Loopback(plan, n_workers, [record], random.Random(seed)).run()
+        Loopback(plan, shares(owners, 5), [record], random.Random(seed)).run()
     assert str(caught.value) == str(failure)
     assert "the gearbox is broken" in str(failure)
     assert record == expected
