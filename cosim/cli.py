@@ -173,7 +173,9 @@ def _parser() -> argparse.ArgumentParser:
     across = run.add_argument_group("across processes, with the same results")
     across.add_argument("--distributed", action="store_true", help="run emulator and agents in processes of their own")
     across.add_argument(
-        "--workers", metavar="N", help="processes that carry the agents, or 'per-agent' (default: cores)"
+        "--workers",
+        metavar="N",
+        help="processes that carry the agents, or 'per-agent' (default: the scenario's, else cores)",
     )
     across.add_argument(
         "--step-deadline",

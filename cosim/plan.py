@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from typing import Literal, TypeAlias
 
 from cosim.components.component import Description, Value, Variable
 from network.channel import ChannelModel
@@ -134,6 +135,10 @@ class AnalysisPlan:
     lambda_: Mapping[str, float] | None = None
 
 
+Workers: TypeAlias = int | Literal["per-agent"] | Mapping[str, tuple[int, ...]] | None
+"""How a run across processes divides the agents: among how many workers, or which indices each of them carries."""
+
+
 @dataclass(frozen=True)
 class Plan:
     """A whole run.
@@ -142,6 +147,7 @@ class Plan:
         ticks: number of periods to advance; trajectories have ticks + 1 rows per agent.
         channels: profiles by name; `link_channel[i]` names that of `links` row i.
         scenario: the resolved scenario as YAML text; running it gives the same digest.
+        workers: as the scenario wants the agents divided in a run across processes; no result depends on it.
     """
 
     name: str
@@ -157,6 +163,7 @@ class Plan:
     agents: tuple[AgentPlan, ...]
     analysis: AnalysisPlan
     scenario: str
+    workers: Workers = None
 
     @property
     def period(self) -> float:

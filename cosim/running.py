@@ -78,9 +78,9 @@ def _way_to_play(args: argparse.Namespace, plan: Plan) -> tuple[_Play, dict[str,
         return partial(run, plan), {}
     from cosim.distributed import cluster
 
-    n_workers = cluster.count_workers(args.workers, len(plan.agents))
-    play = partial(cluster.run, plan, n_workers, step_deadline=args.step_deadline)
-    return play, {"distributed": {"workers": n_workers}}
+    workers = cluster.division(plan, args.workers)
+    play = partial(cluster.run, plan, workers, step_deadline=args.step_deadline)
+    return play, {"distributed": {"workers": len(workers)}}
 
 
 def _close_after(error: BaseException, recorder: Recorder) -> None:

@@ -4,48 +4,57 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Final
 
-from cosim.distributed.assignment import EMULATOR, divide
+from cosim.distributed.assignment import EMULATOR, Share, divide, share_of
 from cosim.distributed.orchestration import Orchestration
 from cosim.distributed.processes import Processes
 from cosim.distributed.supervision import Supervisor
 from cosim.errors import ClusterError, CosimError
 from cosim.inline import Observer
-from cosim.plan import Plan
+from cosim.plan import Plan, Workers
 from cosim.scratch import Scratch
 from network.transport import Hub, TransportError
 
-PER_AGENT = "per-agent"
+PER_AGENT: Final = "per-agent"
 STEP_DEADLINE = 30.0
 """Seconds in which some process must get further."""
 
 
-def count_workers(wanted: str | None, n_agents: int) -> int:
-    """How many workers to start.
+def division(plan: Plan, wanted: str | None) -> dict[str, Share]:
+    """Which worker carries which agents.
 
     Args:
-        wanted: a number, `per-agent`, or None for one per core.
-        n_agents: more workers than agents are never started.
+        plan: its `workers` count unless something else is wanted; if it has none, one worker per core.
+        wanted: a number or `per-agent`; None for what the plan says.
 
     Raises:
         CosimError: not a number of workers.
     """
+    n_agents = len(plan.agents)
+    workers: Workers = plan.workers if wanted is None else _parsed(wanted)
+    if isinstance(workers, Mapping):
+        return {name: share_of(agents) for name, agents in workers.items()}
+    if workers is None:
+        workers = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return divide(n_agents, n_agents if workers == PER_AGENT else workers)
+
+
+def _parsed(wanted: str) -> Workers:
+    """The number, or `per-agent`, on the command line."""
     if wanted == PER_AGENT:
-        return n_agents
-    if wanted is None:
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        return min(cores, n_agents)
+        return PER_AGENT
     if not wanted.isascii() or not wanted.isdigit() or int(wanted) == 0:
         raise CosimError(f"--workers {wanted}: write a number from 1, or {PER_AGENT!r}")
-    return min(int(wanted), n_agents)
+    return int(wanted)
 
 
 def run(
     plan: Plan,
-    n_workers: int,
+    workers: int | Mapping[str, Share],
     observers: Sequence[Observer],
     stop_requested: Callable[[], bool] = lambda: False,
     step_deadline: float = STEP_DEADLINE,
@@ -54,7 +63,7 @@ def run(
 
     Args:
         plan: what to run.
-        n_workers: how many workers carry the agents.
+        workers: how many workers carry the agents, or the agents of each.
         observers: told of every tick and every fate, in order, as by `cosim.inline.run`.
         stop_requested: asked a few times a second.
         step_deadline: seconds in which some process must get further.
@@ -64,7 +73,8 @@ def run(
         ClusterError: a process was lost, or hangs.
         Interrupted: `stop_requested` said so.
     """
-    workers = divide(len(plan.agents), n_workers)
+    if isinstance(workers, int):
+        workers = divide(len(plan.agents), workers)
     with Scratch() as scratch, _hub(scratch) as (run_id, hub), Processes((EMULATOR, *workers)) as processes:
         processes.start(run_id, hub.endpoints[0], scratch)
         orchestration = Orchestration(plan, workers, observers)

@@ -15,6 +15,7 @@ from cosim.planning.analysis import Member, plan_analysis
 from cosim.planning.blueprint import Blueprint, draw_up
 from cosim.planning.coupling import warn_of_order
 from cosim.planning.describing import Describer
+from cosim.planning.division import plan_workers
 from cosim.planning.graph import Edge, links_of, resolve_edges
 from cosim.planning.mailbox import mailbox_of, message_variables
 from cosim.planning.problems import Problems
@@ -67,6 +68,7 @@ def plan(scenario: Scenario) -> Planned:
     problems = Problems(scenario.problems, scenario.doubts)
     ticks = _ticks(scenario, problems)
     edges = resolve_edges(scenario, problems)
+    workers = plan_workers(scenario, problems)
     blueprints = _blueprints(scenario, edges, problems)
     message = _message(scenario, blueprints, edges, problems)
     mailboxes = {}
@@ -100,7 +102,8 @@ def plan(scenario: Scenario) -> Planned:
         link_channel=tuple(edge.channel for edge in edges),
         agents=agents,
         analysis=analysis,
-        scenario=resolved_text(scenario, agents, [blueprints[agent.name] for agent in agents], edges),
+        scenario=resolved_text(scenario, agents, [blueprints[agent.name] for agent in agents], edges, workers),
+        workers=workers,
     )
     return Planned(planned, problems.warnings)
 

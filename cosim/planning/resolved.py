@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from cosim.components.component import Value, Variable
-from cosim.plan import AgentPlan, Loop
+from cosim.plan import AgentPlan, Loop, Workers
 from cosim.planning.blueprint import Blueprint
 from cosim.planning.describing import is_file
 from cosim.planning.graph import Edge
+from cosim.scenario.names import agent_names, in_short
 from cosim.scenario.reading import Scenario
 from cosim.scenario.source import Lines, dump
 from network.units import format_duration
@@ -18,7 +20,11 @@ Tree = dict[str, Any]
 
 
 def resolved_text(
-    scenario: Scenario, agents: Sequence[AgentPlan], blueprints: Sequence[Blueprint], edges: Sequence[Edge]
+    scenario: Scenario,
+    agents: Sequence[AgentPlan],
+    blueprints: Sequence[Blueprint],
+    edges: Sequence[Edge],
+    workers: Workers,
 ) -> str:
     """The resolved scenario as YAML.
 
@@ -27,6 +33,7 @@ def resolved_text(
         agents: as planned.
         blueprints: of each agent.
         edges: of the graph.
+        workers: who carries which agents.
     """
     spec = scenario.spec
     templates, members = _group(agents, blueprints)
@@ -42,8 +49,25 @@ def resolved_text(
         "graph": _graph(spec.graph.weights, edges),
         "channels": {n: m.model_dump(mode="json") for n, m in spec.channels.items() if n in used},
         "analysis": spec.analysis.model_dump(mode="json", by_alias=True, exclude_unset=True),
+        "workers": _workers(agents, workers),
     }
-    return dump({key: value for key, value in tree.items() if value not in ({}, "")})
+    return dump({key: value for key, value in tree.items() if value not in ({}, "", None)})
+
+
+def _workers(agents: Sequence[AgentPlan], workers: Workers) -> int | str | Tree | None:
+    if not isinstance(workers, Mapping):
+        return workers
+    names = {worker: [agents[index].name for index in indices] for worker, indices in workers.items()}
+    return {worker: _agents(carried) for worker, carried in names.items()}
+
+
+def _agents(names: Sequence[str]) -> str:
+    """A list that reads as these names again."""
+    short = in_short(names)
+    with suppress(ValueError):  # of names that look like ranges in part
+        if list(agent_names(short)) == list(names):
+            return short
+    return ", ".join(names)
 
 
 def _group(agents: Sequence[AgentPlan], blueprints: Sequence[Blueprint]) -> tuple[Tree, Tree]:

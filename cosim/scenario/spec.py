@@ -28,6 +28,7 @@ from pydantic_core import CoreSchema
 from typing_extensions import TypeAliasType
 
 from cosim.scenario.names import agent_names, scenario_name
+from network.envelope import check_name
 from network.models import AnyChannelModel
 from network.units import PositiveDuration
 
@@ -35,6 +36,7 @@ PARAMETER_PORTS = ("count", "period")
 """Keys of `receive` that name a parameter: set to the number of in-neighbours, and to the period in seconds."""
 MAILBOX_PORTS = (*PARAMETER_PORTS, "stamp", "time", "weight")
 """Keys of `receive` that are no variables of the message."""
+RESERVED_PROCESSES = ("orchestrator", "emulator")
 
 
 class Spec(BaseModel):
@@ -303,6 +305,39 @@ class AnalysisSpec(Spec):
     )
 
 
+# --- processes --------------------------------------------------------------------------------------------------------
+
+
+def _check_worker(text: str) -> str:
+    check_name(text, "worker")
+    if text in RESERVED_PROCESSES:
+        raise ValueError(f"no worker can be called {text!r}: another process of every run is")
+    return text
+
+
+WorkerName: TypeAlias = Annotated[str, BeforeValidator(_as_text), AfterValidator(_check_worker)]
+
+
+def _kind_of_workers(value: Any) -> str | None:
+    if isinstance(value, dict):
+        return "<by name>"
+    if isinstance(value, int) and not isinstance(value, bool):
+        return "<number>"
+    return "<word>" if isinstance(value, str) else None
+
+
+WorkersSpec: TypeAlias = Annotated[
+    Annotated[int, Field(ge=1), Tag("<number>")]
+    | Annotated[Literal["per-agent"], Tag("<word>")]
+    | Annotated[dict[WorkerName, Agents], Field(min_length=1), Tag("<by name>")],
+    Discriminator(
+        _kind_of_workers,
+        custom_error_type="workers",
+        custom_error_message="workers are a number, 'per-agent', or agents by worker: {lab-a: 1..5, lab-b: '6, 8..10'}",
+    ),
+]
+
+
 # --- the whole --------------------------------------------------------------------------------------------------------
 
 
@@ -324,6 +359,11 @@ class ScenarioSpec(Spec):
     graph: GraphSpec = GraphSpec()
     channels: dict[str, AnyChannelModel] = Field({}, description="Profiles: what the network does to a message.")
     analysis: AnalysisSpec = AnalysisSpec()
+    workers: WorkersSpec | None = Field(
+        None,
+        description="Of a run across processes: how many carry the agents ('per-agent': one each), or which agents "
+        "each of them carries, by name. Results do not depend on it.",
+    )
 
 
 def json_schema() -> dict[str, Any]:

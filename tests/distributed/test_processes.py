@@ -125,6 +125,21 @@ def test_digest_is_that_of_the_in_process_run(config: str, workers: str | None, 
     assert_nothing_left(tmp_path)
 
 
+def test_workers_of_the_scenario(tmp_path: Path) -> None:
+    (tmp_path / "net.yaml").write_text(scenario(5, ring(5)) + "workers: {lab-a: '5, 1, 3', lab-b: '2, 4'}\n")
+    across = cosim(tmp_path, "net.yaml", "--distributed", "--out", "across")
+    assert across.returncode == 0, across.stderr
+    plain = cosim(tmp_path, "net.yaml", "--out", "plain")
+    again = cosim(tmp_path, "across/scenario.yaml", "--distributed", "--workers", "3", "--out", "again")
+    assert plain.returncode == again.returncode == 0
+    assert {manifest(tmp_path / name)["digest"] for name in ("across", "plain", "again")} == {
+        manifest(tmp_path / "plain")["digest"]
+    }
+    assert manifest(tmp_path / "across")["distributed"] == {"workers": 2}
+    assert manifest(tmp_path / "again")["distributed"] == {"workers": 3}
+    assert_nothing_left(tmp_path)
+
+
 def test_longer_than_a_window_of_grants(scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cosim.distributed.assignment._WINDOW_TICKS", 8)
     plan = planned(scenario(4, ring(4), "slack", ticks=300))

@@ -88,10 +88,26 @@ HOW_IT_IS_WRITTEN: dict[str, tuple[Change, str]] = {
     "not a number": (("v: 0}", "v: §.nan}"), "'.nan' is no value to start from"),
     "record": (("[plant.p, plant.v]", "§plant.p"), "record: must be a list, such as [a, b], not 'plant.p'"),
     "tolerance": (("step: 5 ms", "relative_tolerance: §1"), "must be less than 1, not 1"),
+    "no workers": (("duration:", "workers: §0\nduration:"), "workers: must be at least 1, not 0"),
+    "workers in words": (("duration:", "workers: §many\nduration:"), "workers: 'many' is none of per-agent"),
+    "workers as a list": (("duration:", "workers: §[1]\nduration:"), "workers are a number, 'per-agent', or agents by"),
+    "worker's name": (("duration:", "workers: {§lab a: 1..3}\nduration:"), "worker 'lab a': write letters, digits"),
+    "worker called emulator": (("duration:", "workers: {§emulator: 1..3}\nduration:"), "no worker can be called"),
+    "worker's agents": (("duration:", "workers: {a: §3..1}\nduration:"), "the range '3..1' must run upwards"),
     "leader": (("{controller.role: leader}", "{controller.role: §[1]}"), "must be a number, true or false, or text"),
 }
 
 WHAT_IT_MEANS: dict[str, tuple[Change, str]] = {
+    "worker of an unknown agent": (("duration:", "workers: {a: §1..4}\nduration:"), "unknown agent '4'"),
+    "agent with two workers": (
+        ("duration:", "workers: {a: 1..3, b: §2}\nduration:"),
+        "agent '2' is carried by 'a' already",
+    ),
+    "agent twice": (
+        ("duration:", "workers: {a: §'1..3, 2'}\nduration:"),
+        "agent '2' is carried by this worker already",
+    ),
+    "agents without a worker": (("duration:", "§workers: {a: 1}\nduration:"), "no worker carries agents 2, 3"),
     "unknown template": (
         ("1..3: {template: arm}", "1..3: {template: §amr}"),
         "unknown template 'amr' (did you mean 'arm'?)",

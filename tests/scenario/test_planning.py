@@ -205,6 +205,15 @@ VARIANTS = {
         ),
         (),
     ),
+    "workers": (BASE, ("workers=2",)),
+    "workers by name": (BASE, ("workers={lab-a: '3, 1', lab-b: 2}",)),
+    "workers of agents that a range cannot name": (
+        changed(
+            ("1..3: {template: arm}", "'1-1, 1-2, 1-3, 2': {template: arm}"),
+            ("- 1 -> 2\n    - 2 -> 3\n    - 3 -> 1\n    - 2 -> 1", "- 2 -> 1-1, 1-2, 1-3"),
+        ),
+        ("workers={lab-a: '1-1, 1-2, 1-3', lab-b: 2}",),
+    ),
     "nothing recorded": (changed(("[plant.p, plant.v]", "[]"), ("  position: plant.p\n  velocity: plant.v\n", "")), ()),
 }
 
