@@ -210,7 +210,7 @@ VARIANTS = {
     "workers of agents that a range cannot name": (
         changed(
             ("1..3: {template: arm}", "'1-1, 1-2, 1-3, 2': {template: arm}"),
-            ("- 1 -> 2\n    - 2 -> 3\n    - 3 -> 1\n    - 2 -> 1", "- 2 -> 1-1, 1-2, 1-3"),
+            ("- 1 -> 2\n    - 2 -> 3\n    - 3 -> 1\n    - 2 -> 1", "- 2 -> 1-1, 1-2, 1-3\n    - 1-1, 1-2, 1-3 -> 2"),
         ),
         ("workers={lab-a: '1-1, 1-2, 1-3', lab-b: 2}",),
     ),
