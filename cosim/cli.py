@@ -9,10 +9,11 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn
+from typing import NoReturn, TypeVar
 
 from cosim.errors import ConfigError, CosimError, Location, Problem, Severity
 
+_Parser = TypeVar("_Parser", bound=argparse.ArgumentParser)
 EXIT_CODES = """\
 exit codes:
   0    success
@@ -107,6 +108,12 @@ def _check(args: argparse.Namespace) -> int:
     print(check.describe(planned.plan))
     _print_problems(planned.warnings)
     return 0
+
+
+def _keys(args: argparse.Namespace) -> int:
+    from cosim import keys
+
+    return keys.main(args)
 
 
 def _init(args: argparse.Namespace) -> int:
@@ -204,6 +211,7 @@ def _parser() -> argparse.ArgumentParser:
     )
 
     _command(commands, "schema", _schema, "print the JSON schema of a scenario, for editors")
+    _add_keys(commands)
     process = commands.add_parser("_process")  # what `cosim run --distributed` starts; not for people
     process.add_argument("name")
     process.add_argument("run")
@@ -211,6 +219,44 @@ def _parser() -> argparse.ArgumentParser:
     process.add_argument("scratch", type=Path)
     process.set_defaults(command=_process)
     return parser
+
+
+class _Intermixed(argparse.ArgumentParser):
+    """Takes an argument that may be left out also after options."""
+
+    _inside = False
+
+    def parse_known_args(self, args=None, namespace=None):  # type: ignore[no-untyped-def]
+        if self._inside:
+            return super().parse_known_args(args, namespace)
+        self._inside = True
+        try:
+            return self.parse_known_intermixed_args(args, namespace)
+        finally:
+            self._inside = False
+
+
+def _add_keys(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    about = "make the keys with which processes on several hosts prove who they are"
+    keys = commands.add_parser("keys", help=about, description=f"{about[0].upper()}{about[1:]}.")
+    actions = keys.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Intermixed)
+    init = _command(actions, "init", _keys, "make a certificate authority for a team")
+    issue = _command(actions, "issue", _keys, "issue the keys of a process")
+    issue.add_argument("name", metavar="NAME", help="of the process, such as orchestrator, emulator, worker-1")
+    issue.add_argument(
+        "--host",
+        action="append",
+        default=[],
+        metavar="HOST",
+        help="name or address at which others find a process that listens; repeatable",
+    )
+    issue.add_argument("--days", type=int, metavar="N", help="how long they are valid (default: a year)")
+    show = _command(actions, "show", _keys, "say what keys there are, for which hosts, and until when")
+    for action, command in ((init, "init"), (issue, "issue"), (show, "show")):
+        action.add_argument(
+            "folder", nargs="?", type=Path, default=Path("keys"), metavar="FOLDER", help="default: keys"
+        )
+        action.set_defaults(action=command)
 
 
 def _seconds(text: str) -> float:
@@ -225,9 +271,7 @@ def _seconds(text: str) -> float:
     return to_seconds(duration)
 
 
-def _command(
-    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, command: object, summary: str
-) -> argparse.ArgumentParser:
+def _command(commands: argparse._SubParsersAction[_Parser], name: str, command: object, summary: str) -> _Parser:
     parser = commands.add_parser(
         name,
         help=summary,

@@ -53,6 +53,7 @@ STALL: Final = 60.0
 """The same for what the others send to the hub: longer, so that the one who does not take its messages is named."""
 
 _WAIT: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"  # µs
+_ASK_AGAIN: Final = 0.05  # s
 _INBOX: Final = 2**20  # messages; if it were full, Zenoh's receiving thread would wait, and with it every other link
 _SETTINGS: Final[Mapping[str, object]] = {
     "scouting/multicast/enabled": False,
@@ -405,13 +406,14 @@ class ZenohClient(ZenohEndpoint):
         while True:
             with self._changed:
                 left = deadline - time.monotonic()
-                if not self._changed.wait_for(lambda: self._hub_is_there, left):
+                if not self._changed.wait_for(lambda: self._hub_is_there, left) or left <= 0:
                     raise TransportTimeout(f"{self.name}: {HUB} of run {self._run} is not there, or does not answer")
             replies = self._session.get(self._keys.join(self.name), payload=hello, timeout=max(0.01, left))
             for reply in replies:
                 if reply.ok is not None:
                     self._welcomed(reply.ok.payload.to_bytes())
                     return
+            time.sleep(_ASK_AGAIN)  # it has just gone, or may not hear us
 
     def _welcomed(self, answer: bytes) -> None:
         try:
