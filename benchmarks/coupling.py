@@ -24,13 +24,13 @@ import fmus
 from cosim.components.component import Component, Floats
 from cosim.components.fmu import FmuComponent
 from cosim.components.opening import describe, open_components
-from cosim.coupling import LoopState, PythonLoop
-from cosim.kernel import NativeLoop
+from cosim.coupling import LoopMemory, PythonLoop
+from cosim.kernel import Member, NativeBlock
 from cosim.mailbox import Updates
 from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, MailboxPlan, Method, Port
 from cosim.wiring import wire
 from fmus.build import ROOT, compile_shared, library_suffix
-from network.messages import MessageLayout
+from network.messages import Mail, MessageLayout
 from network.units import to_seconds
 
 PERIOD_NS = 100_000_000
@@ -46,6 +46,7 @@ CALLS = (
 )
 _NONE = np.empty(0, np.int64)
 NO_UPDATES = Updates(_NONE, _NONE, _NONE, np.empty(0), np.empty((0, 0)))
+NO_MAIL = Mail(np.zeros(2, np.int64), _NONE, _NONE, _NONE, np.empty((0, 0)))
 
 
 class Fmu(ctypes.Structure):
@@ -108,17 +109,19 @@ class Contestant:
         layout = MessageLayout((), ())
         wiring = wire(agent, layout)
         self.components: list[Component] = open_components(agent)
-        self.state = LoopState(wiring.initial_signals(agent), 2)
-        python = PythonLoop(wiring, self.components, coupling, self.state)
+        memory = LoopMemory([(wiring.n_signals, 2)])
+        python = PythonLoop(wiring, self.components, coupling, memory.state(0))
         python.initialise(0, 10**6 * PERIOD_NS)
         self.tick = 0
         self.steps_per_tick = PERIOD_NS // coupling.step_ns
         self._advance: Callable[[int, int], object]
         if name == "bare C":
             self._advance = self._bare(agent, library)
+        elif name == "native loop":
+            block = NativeBlock([Member(0, wiring, self.components, coupling)], memory, PERIOD_NS)
+            self._advance = lambda start, _: block.advance(start // PERIOD_NS, NO_MAIL)
         else:
-            loop = python if name == "Python loop" else NativeLoop(wiring, self.components, coupling, self.state)
-            self._advance = lambda start, end: loop.advance(start, end, NO_UPDATES)
+            self._advance = lambda start, end: python.advance(start, end, NO_UPDATES)
         self._recorded = wiring.recorded
 
     def _bare(self, agent: AgentPlan, library: ctypes.CDLL) -> Callable[[int, int], object]:

@@ -7,87 +7,77 @@ run and a worker process make the same calls.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
-from cosim.components.component import Component, Floats
+from cosim.components.component import Component
 from cosim.coupling import LoopState, PythonLoop
 from cosim.errors import ComponentError, RunError
-from cosim.mailbox import Mailbox, Updates
-from cosim.plan import AgentPlan, Loop
-from cosim.wiring import wire
-from network.messages import Deliveries, MessageLayout
+from cosim.mailbox import Mailbox
+from cosim.plan import AgentPlan
+from cosim.wiring import Wiring
+from network.messages import Deliveries
 from network.units import format_duration
 
 
-class MicroSteps(Protocol):
-    """What the Python loop and the native one have in common."""
-
-    def advance(self, start_ns: int, end_ns: int, updates: Updates) -> None:
-        """See `cosim.coupling.PythonLoop.advance`."""
-
-
 class Agent:
-    """The call order is `initialise`, then for every tick: `message`, `row`, `advance`; at the end `terminate`.
+    """The call order is `initialise`, then `advance` for every tick; at the end `terminate`.
+
+    A native agent is advanced by `cosim.kernel.NativeBlock` instead, on the same state. What an agent publishes and
+    what is recorded of it are signals, which `cosim.agents` gathers.
 
     Args:
         plan: what the agent consists of.
-        layout: of the network's messages.
+        wiring: of the agent.
         period_ns: T.
         components: opened and with their start values set, in the plan's order.
-
-    Every method raises `RunError` when a component fails.
+        state: zeros, to be filled.
     """
 
-    def __init__(self, plan: AgentPlan, layout: MessageLayout, period_ns: int, components: Sequence[Component]) -> None:
+    def __init__(
+        self, plan: AgentPlan, wiring: Wiring, period_ns: int, components: Sequence[Component], state: LoopState
+    ) -> None:
         self.plan = plan
+        self.wiring = wiring
+        self.components = components
+        self.state = state
         self._period_ns = period_ns
-        self._components = components
         self._mailbox = Mailbox(len(plan.neighbours), period_ns)
-        wiring = wire(plan, layout)
-        self._published = wiring.published
-        self._recorded = wiring.recorded
-        self._state = LoopState(wiring.initial_signals(plan), len(components))
-        self._python_loop = PythonLoop(wiring, components, plan.coupling, self._state)
-        self._loop: MicroSteps = self._python_loop
-        if plan.coupling.loop is Loop.NATIVE:
-            from cosim.kernel import NativeLoop
-
-            self._loop = NativeLoop(wiring, components, plan.coupling, self._state)
+        self._loop = PythonLoop(wiring, components, plan.coupling, state)
+        wiring.fill(state.signals, plan)
 
     def initialise(self, stop_ns: int) -> None:
         """Bring all components to tick 0.
 
         Args:
             stop_ns: end of the run, which some FMUs want to know.
+
+        Raises:
+            RunError: a component failed.
         """
         try:
-            self._python_loop.initialise(0, stop_ns)
+            self._loop.initialise(0, stop_ns)
         except ComponentError as error:
-            raise self._failure(error) from error
-
-    def message(self) -> Floats:
-        """What the agent publishes at the current tick, shape (width,); empty where nobody hears it."""
-        return self._state.signals[self._published]
-
-    def row(self) -> Floats:
-        """What is recorded at the current tick, before the deliveries of this very instant take effect."""
-        return self._state.signals[self._recorded]
+            raise self.failure(error) from error
 
     def advance(self, tick: int, deliveries: Deliveries) -> None:
-        """From `tick` to the next one; deliveries take effect at their exact time of arrival."""
+        """From `tick` to the next one; deliveries take effect at their exact time of arrival.
+
+        Raises:
+            RunError: a component failed.
+        """
         updates = self._mailbox.accept(deliveries)
         try:
             self._loop.advance(tick * self._period_ns, (tick + 1) * self._period_ns, updates)
         except ComponentError as error:
-            raise self._failure(error) from error
+            raise self.failure(error) from error
 
     def terminate(self) -> None:
         """End all components; safe after a failure, and twice."""
-        for component in self._components:
+        for component in self.components:
             component.terminate()
 
-    def _failure(self, error: ComponentError) -> RunError:
-        time = float(self._state.time[0])
+    def failure(self, error: ComponentError) -> RunError:
+        """What a component's failure means for the run."""
+        time = float(self.state.time[0])
         return RunError(self.plan.name, error.component, time, error.message + self._hint(error), error.log)
 
     def _hint(self, error: ComponentError) -> str:

@@ -12,8 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from cosim.agent import Agent
-from cosim.components.opening import open_components
+from cosim.agents import Agents
 from cosim.plan import AgentPlan, ComponentPlan, CouplingPlan, Loop, Method, Plan
 from cosim.scenario.names import in_short
 from cosim.theory import mu, published_bound
@@ -24,18 +23,17 @@ Item = TypeVar("Item")
 
 
 def open_all(plan: Plan) -> None:
-    """Instantiate and initialise every agent, one after another.
+    """Instantiate and initialise every agent, as a run does.
 
     Raises:
         ConfigError: a component cannot be opened.
         RunError: a component refuses a start value or its initialisation.
     """
-    for agent_plan in plan.agents:
-        agent = Agent(agent_plan, plan.layout, plan.period_ns, open_components(agent_plan))
-        try:
-            agent.initialise(plan.ticks * plan.period_ns)
-        finally:
-            agent.terminate()
+    agents = Agents(plan)
+    try:
+        agents.initialise()
+    finally:
+        agents.terminate()
 
 
 def describe(plan: Plan) -> str:

@@ -20,6 +20,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +36,9 @@ EVENT_ITERATIONS = 100
 """How often the components of an agent may change each other's inputs at one instant."""
 
 
+@dataclass(frozen=True)
 class LoopState:
-    """What a loop remembers from one call to the next; both loops work on the same memory.
+    """What a loop remembers of an agent from one call to the next; both loops work on the same memory.
 
     Attributes:
         signals: (n_signals,) see `Wiring`.
@@ -47,12 +49,44 @@ class LoopState:
         time: (1,) the time reached, for error messages.
     """
 
-    def __init__(self, signals: Floats, n_components: int) -> None:
-        self.signals = signals
-        self.previous = signals.copy()
-        self.steps = np.zeros(2)
-        self.next_event = np.full(n_components, math.inf)
-        self.time = np.zeros(1)
+    signals: Floats
+    previous: Floats
+    steps: Floats
+    next_event: Floats
+    time: Floats
+
+
+class LoopMemory:
+    """The `LoopState` of many agents in one array each, agent by agent.
+
+    Args:
+        sizes: per agent, the numbers of its signals and of its components.
+
+    Attributes:
+        first_signal: (n_agents + 1,) where each agent's signals begin, and the end. One number that stays zero follows.
+        first_component: (n_agents + 1,) likewise.
+        signals, previous, steps, next_event, time: see `LoopState`.
+    """
+
+    def __init__(self, sizes: Sequence[tuple[int, int]]) -> None:
+        ends = np.cumsum([(0, 0), *sizes], axis=0, dtype=np.int64)
+        self.first_signal, self.first_component = ends[:, 0], ends[:, 1]
+        self.signals = np.zeros(ends[-1, 0] + 1)
+        self.previous = np.zeros(ends[-1, 0])
+        self.steps = np.zeros((len(sizes), 2))
+        self.next_event = np.full(ends[-1, 1], math.inf)
+        self.time = np.zeros(len(sizes))
+
+    def state(self, agent: int) -> LoopState:
+        """That of one agent."""
+        (i, c), (j, d) = ((int(self.first_signal[k]), int(self.first_component[k])) for k in (agent, agent + 1))
+        return LoopState(
+            self.signals[i:j],
+            self.previous[i:j],
+            self.steps[agent],
+            self.next_event[c:d],
+            self.time[agent : agent + 1],
+        )
 
 
 class PythonLoop:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from cosim.agent import Agent
+from cosim.agents import Agents
 from cosim.components.component import Floats
-from cosim.components.opening import open_components
-from cosim.master import Emulate, Finish, Master
+from cosim.master import Emulate, Master
 from cosim.plan import Plan
 from network.emulator import Emulator
 from network.messages import Fates
@@ -17,8 +16,11 @@ from network.messages import Fates
 class Observer(Protocol):
     """Sees every tick: a recorder, a progress bar, a test."""
 
-    def tick(self, tick: int, rows: Sequence[Floats]) -> None:
-        """The recorded values of every agent at a tick, in the order of the file."""
+    def tick(self, tick: int, row: Floats) -> None:
+        """The recorded values at a tick: agent by agent in the order of the file, each in that of its plan's `record`.
+
+        The array is the observer's to keep, not to change.
+        """
 
     def fates(self, fates: Fates) -> None:
         """Messages whose fate became known in a tick."""
@@ -30,24 +32,6 @@ class Interrupted(Exception):  # noqa: N818 - it is a request, not an error
     def __init__(self, tick: int) -> None:
         self.tick = tick
         super().__init__(f"interrupted after tick {tick}")
-
-
-def open_agents(plan: Plan) -> list[Agent]:
-    """All agents of a plan with their components instantiated; none is left open when one fails."""
-    agents: list[Agent] = []
-    try:
-        for agent_plan in plan.agents:
-            agents.append(Agent(agent_plan, plan.layout, plan.period_ns, open_components(agent_plan)))  # noqa: PERF401
-    except BaseException:
-        terminate(agents)
-        raise
-    return agents
-
-
-def terminate(agents: Sequence[Agent]) -> None:
-    """End all agents."""
-    for agent in agents:
-        agent.terminate()
 
 
 def run(plan: Plan, observers: Sequence[Observer], stop_requested: Callable[[], bool] = lambda: False) -> None:
@@ -62,28 +46,23 @@ def run(plan: Plan, observers: Sequence[Observer], stop_requested: Callable[[], 
         RunError: a component failed.
         Interrupted: `stop_requested` said so.
     """
-    agents = open_agents(plan)
+    agents = Agents(plan)
     try:
         _play(plan, agents, observers, stop_requested)
     finally:
-        terminate(agents)
+        agents.terminate()
 
 
-def _play(
-    plan: Plan, agents: Sequence[Agent], observers: Sequence[Observer], stop_requested: Callable[[], bool]
-) -> None:
+def _play(plan: Plan, agents: Agents, observers: Sequence[Observer], stop_requested: Callable[[], bool]) -> None:
     emulator = Emulator(plan.links, plan.channels, plan.link_channel, plan.layout, plan.seed, plan.period_ns)
-    master = Master(len(agents), plan.layout.width, plan.ticks)
-    for agent in agents:
-        agent.initialise(plan.ticks * plan.period_ns)
+    master = Master([len(plan.agents)], plan.layout.width, plan.ticks)
+    agents.initialise()
     while True:
         tick = master.tick
-        instruction: Emulate | Finish | None = None
-        for index, agent in enumerate(agents):
-            instruction = master.published(index, tick, agent.message())
-        rows = [agent.row() for agent in agents]
+        instruction = master.published(0, tick, agents.samples())
+        row = agents.row()
         for observer in observers:
-            observer.tick(tick, rows)
+            observer.tick(tick, row)
         if not isinstance(instruction, Emulate):
             break
         if stop_requested():
@@ -91,8 +70,8 @@ def _play(
         exchange = emulator.emulate(instruction.tick, instruction.values)
         for observer in observers:
             observer.fates(exchange.fates)
-        for order in master.exchanged(exchange):
-            agents[order.agent].advance(order.tick, order.deliveries)
+        order = master.exchanged(exchange)
+        agents.advance(order.tick, order.mail)
     in_flight = emulator.finish()
     for observer in observers:
         observer.fates(in_flight)

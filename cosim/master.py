@@ -3,15 +3,18 @@
 Rule: nothing in here knows a clock, a socket, a thread or a process, nor who carries out its instructions. One period:
 every agent publishes its sample of tick k; the emulator turns all samples into deliveries; every agent advances to
 tick k + 1. The master refuses anything out of turn, so that a transport that loses, repeats or reorders is noticed.
+Whoever carries a block of agents speaks for all of them.
 """
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from network.messages import Deliveries, Exchange, Floats
+from network.messages import Exchange, Floats, Mail
 
 
 class SequenceError(RuntimeError):
@@ -23,7 +26,7 @@ class Emulate:
     """To the emulator: all samples of a tick.
 
     Attributes:
-        values: (n_agents, width) in the order of the file; rows of agents that nobody hears are zero.
+        values: (n_agents, width) in the order of the file.
     """
 
     tick: int
@@ -32,11 +35,10 @@ class Emulate:
 
 @dataclass(frozen=True)
 class Advance:
-    """To one agent: advance from `tick` to the next with these deliveries."""
+    """To everybody: advance from `tick` to the next with this mail."""
 
     tick: int
-    agent: int
-    deliveries: Deliveries
+    mail: Mail
 
 
 @dataclass(frozen=True)
@@ -47,39 +49,40 @@ class Finish:
 
 
 class Master:
-    """The call order is, per tick: `published` once per agent, then `exchanged`, and so on until `Finish` comes out.
+    """The call order is, per tick: `published` once per block, then `exchanged`, and so on until `Finish` comes out.
 
     Args:
-        n_agents: how many agents.
+        blocks: of how many agents each block consists; they follow each other in the order of the file.
         width: numbers in a message.
         ticks: periods to advance; after the sample of tick number `ticks` the run is over.
     """
 
-    def __init__(self, n_agents: int, width: int, ticks: int) -> None:
+    def __init__(self, blocks: Sequence[int], width: int, ticks: int) -> None:
         self._ticks = ticks
-        self._values = np.zeros((n_agents, width))
-        self._missing = set(range(n_agents))
+        ends = list(itertools.accumulate(blocks, initial=0))
+        self._values = np.zeros((ends[-1], width))
+        self._blocks = [self._values[i:j] for i, j in itertools.pairwise(ends)]
+        self._missing = set(range(len(blocks)))
         self._awaiting_exchange = False
         self.tick = 0
 
     @property
     def waiting_for(self) -> frozenset[int]:
-        """Agents whose sample of the current tick is not in yet."""
+        """Blocks whose samples of the current tick are not in yet."""
         return frozenset(self._missing)
 
-    def published(self, agent: int, tick: int, message: Floats) -> Emulate | Finish | None:
-        """An agent's sample is in; an instruction once all are.
+    def published(self, block: int, tick: int, values: Floats) -> Emulate | Finish | None:
+        """The samples of a block are in, one row per agent; an instruction once all are.
 
         Raises:
-            SequenceError: not this agent's turn, or a message of another tick or size.
+            SequenceError: not this block's turn, or samples of another tick or shape.
         """
-        if tick != self.tick or agent not in self._missing:
-            raise SequenceError(f"agent {agent} published for tick {tick} out of turn (the clock is at {self.tick})")
-        if message.size not in (0, self._values.shape[1]):
-            raise SequenceError(f"agent {agent} published {message.size} numbers, not {self._values.shape[1]}")
-        if message.size:
-            self._values[agent] = message
-        self._missing.discard(agent)
+        if tick != self.tick or block not in self._missing:
+            raise SequenceError(f"block {block} published for tick {tick} out of turn (the clock is at {self.tick})")
+        if values.shape != self._blocks[block].shape:
+            raise SequenceError(f"block {block} published {values.shape} numbers, not {self._blocks[block].shape}")
+        self._blocks[block][...] = values
+        self._missing.discard(block)
         if self._missing:
             return None
         if tick == self._ticks:
@@ -87,7 +90,7 @@ class Master:
         self._awaiting_exchange = True
         return Emulate(tick, self._values.copy())
 
-    def exchanged(self, exchange: Exchange) -> list[Advance]:
+    def exchanged(self, exchange: Exchange) -> Advance:
         """The emulator's answer is in: open the next tick.
 
         Raises:
@@ -96,6 +99,6 @@ class Master:
         if not self._awaiting_exchange or exchange.tick != self.tick:
             raise SequenceError(f"an exchange of tick {exchange.tick} came out of turn (the clock is at {self.tick})")
         self._awaiting_exchange = False
-        self._missing = set(range(len(self._values)))
+        self._missing = set(range(len(self._blocks)))
         self.tick += 1
-        return [Advance(exchange.tick, agent, deliveries) for agent, deliveries in enumerate(exchange.deliveries)]
+        return Advance(exchange.tick, exchange.mail)

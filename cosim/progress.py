@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, NoReturn, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.components.component import Floats
 from cosim.plan import Plan
@@ -20,23 +20,23 @@ REFRESH_SECONDS = 0.1
 
 
 class Disagreement:
-    """`max |p_1 - p_i|` over agents and axes, read from recorded rows."""
+    """`max |p_1 - p_i|` over agents and axes, read from a recorded row."""
 
     def __init__(self, plan: Plan) -> None:
-        self._columns: list[tuple[int, slice]] = []
+        self._columns: list[NDArray[np.intp]] = []
         position = plan.analysis.position
+        offset = 0
         for agent in plan.agents:
-            offset = 0
             for name, port in agent.record:
                 if name == position:
-                    self._columns.append((agent.index, slice(offset, offset + port.variable.size)))
+                    self._columns.append(np.arange(offset, offset + port.variable.size))
                 offset += port.variable.size
 
-    def of(self, rows: Sequence[Floats]) -> float | None:
+    def of(self, row: Floats) -> float | None:
         """In the position's unit; None where fewer than two agents record a position."""
         if len(self._columns) < 2:
             return None
-        positions = np.stack([rows[agent][part] for agent, part in self._columns])
+        positions = row[np.stack(self._columns)]
         return float(np.max(np.abs(positions - positions[0])))
 
 
@@ -52,14 +52,14 @@ class Progress:
         self._due = self._started + (REFRESH_SECONDS if self._on_terminal else 1.0)
         self._bar: tqdm[NoReturn] | None = None
 
-    def tick(self, tick: int, rows: Sequence[Floats]) -> None:
+    def tick(self, tick: int, row: Floats) -> None:
         now = time.perf_counter()
         if self._quiet or now < self._due:
             return
         self._due = now + (REFRESH_SECONDS if self._on_terminal else now - self._started)
         simulated = tick * self._plan.period
         text = f"{simulated:.1f} s simulated, {simulated / (now - self._started):.3g} x real time"
-        disagreement = self._disagreement.of(rows)
+        disagreement = self._disagreement.of(row)
         if disagreement is not None:
             text += f", disagreement {disagreement:.3g}"
         if self._on_terminal:

@@ -12,6 +12,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
 from cosim.components.component import Floats
 from cosim.errors import ClusterError, CosimError, RunError
 from cosim.inline import Interrupted, Observer, run
@@ -98,10 +100,10 @@ class _Summary:
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
         self._started = time.perf_counter()
-        self._rows: Sequence[Floats] = ()
+        self._row: Floats = np.empty(0)
 
-    def tick(self, tick: int, rows: Sequence[Floats]) -> None:  # noqa: ARG002
-        self._rows = rows
+    def tick(self, tick: int, row: Floats) -> None:  # noqa: ARG002
+        self._row = row
 
     def fates(self, fates: Fates) -> None:
         """Not needed."""
@@ -111,7 +113,7 @@ class _Summary:
         wall = time.perf_counter() - self._started
         simulated = self._plan.ticks * self._plan.period
         print(f"{self._plan.name}: {simulated:g} s simulated in {wall:.2f} s ({simulated / wall:.0f} x real time)")
-        disagreement = Disagreement(self._plan).of(self._rows)
+        disagreement = Disagreement(self._plan).of(self._row)
         if disagreement is not None:
             print(f"  disagreement at the end  {disagreement:.3g} (largest |p_1 - p_i|)")
         print(f"  digest                   {digest}")

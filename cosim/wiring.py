@@ -99,12 +99,10 @@ class Wiring:
     published: Positions
     recorded: Positions
 
-    def initial_signals(self, plan: AgentPlan) -> NDArray[np.float64]:
-        """Zeros, no neighbour heard yet, and the weights in place."""
-        signals = np.zeros(self.n_signals)
+    def fill(self, signals: NDArray[np.float64], plan: AgentPlan) -> None:
+        """At the start: no neighbour heard yet, and the weights in place; all else stays zero."""
         signals[self.mailbox.stamp] = NEVER
         signals[self.mailbox.weight] = plan.weights
-        return signals
 
 
 def wire(plan: AgentPlan, layout: MessageLayout) -> Wiring:
@@ -147,6 +145,26 @@ def wire(plan: AgentPlan, layout: MessageLayout) -> Wiring:
         published=_concatenate(where[_key(port)] for port in plan.publish),
         recorded=_concatenate(where[_key(port)] for _, port in plan.record),
     )
+
+
+class Wirings:
+    """The wirings of agents; agents that are planned alike share one.
+
+    Args:
+        layout: of the network's messages.
+    """
+
+    def __init__(self, layout: MessageLayout) -> None:
+        self._layout = layout
+        self._known: dict[tuple[object, ...], tuple[AgentPlan, Wiring]] = {}
+
+    def of(self, plan: AgentPlan) -> Wiring:
+        """See `wire`. Planning hands agents alike the same parts, so that it suffices to ask whether they are."""
+        parts = (plan.connections, plan.publish, plan.mailbox, plan.record, *(x.description for x in plan.components))
+        key = (*map(id, parts), plan.coupling.method, len(plan.neighbours))
+        if key not in self._known:
+            self._known[key] = plan, wire(plan, self._layout)  # the plan stays alive, and with it its parts' identity
+        return self._known[key][1]
 
 
 def _key(port: Port) -> tuple[int, str]:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from network.envelope import Envelope, Part, WireError
-from network.messages import NEVER, Deliveries, Fate, Fates, Floats, Ints
+from network.messages import NEVER, Fate, Fates, Floats, Ints, Mail
 
 _LARGEST_OBJECT = 2**26  # bytes of JSON
 _LATEST_NS = 2**62
@@ -45,9 +45,9 @@ class Block:
         return len(self.neighbours)
 
     @cached_property
-    def row_ends(self) -> tuple[int, ...]:
-        """Where each agent's row begins in the row of the block, and the end."""
-        return tuple(accumulate(self.widths, initial=0))
+    def row_width(self) -> int:
+        """Numbers in the recorded row of the block: those of its agents, one after the other."""
+        return sum(self.widths)
 
     @cached_property
     def agents(self) -> Ints:
@@ -61,10 +61,15 @@ class Block:
 
 
 # --- every tick --------------------------------------------------------------------------------------------------
-def encode_samples(block: Block, messages: Sequence[Floats]) -> list[Part]:
-    """Samples of a tick: (width,) per agent of the block, or empty where nobody hears the agent."""
-    silent = np.zeros(block.width)
-    return _joined([message if len(message) else silent for message in messages], "<f8")
+def encode_samples(block: Block, values: Floats) -> list[Part]:
+    """Samples of a tick, (n, width): one row per agent of the block, zero where nobody hears it.
+
+    Raises:
+        ValueError: samples of another shape.
+    """
+    if values.shape != (len(block), block.width):
+        raise ValueError(f"samples must have the shape {(len(block), block.width)}")
+    return [_as("<f8", values)]
 
 
 def decode_samples(block: Block, envelope: Envelope) -> Floats:
@@ -72,21 +77,14 @@ def decode_samples(block: Block, envelope: Envelope) -> Floats:
     return _Reader(envelope).rest(len(block) * block.width).reshape(len(block), block.width)
 
 
-def encode_mail(block: Block, deliveries: Sequence[Deliveries]) -> list[Part]:
-    """Deliveries of a tick, one per agent of the block."""
-    counts = np.fromiter([len(mail.stamp) for mail in deliveries], "<i8", len(block))
-    full = [mail for mail in deliveries if len(mail.stamp)]
-    return [
-        counts.data,
-        *_joined([mail.arrival_ns for mail in full], "<i8"),
-        *_joined([mail.slot for mail in full], "<i8"),
-        *_joined([mail.stamp for mail in full], "<i8"),
-        *_joined([mail.values for mail in full], "<f8"),
-    ]
+def encode_mail(mail: Mail) -> list[Part]:
+    """Mail of a tick for the agents of a block."""
+    columns = [_as("<i8", column) for column in (np.diff(mail.ends), mail.arrival_ns, mail.slot, mail.stamp)]
+    return [*columns, _as("<f8", mail.values)]
 
 
-def decode_mail(block: Block, envelope: Envelope) -> tuple[Deliveries, ...]:
-    """Deliveries of the envelope's tick, one per agent of the block, in the total order."""
+def decode_mail(block: Block, envelope: Envelope) -> Mail:
+    """Mail of the envelope's tick for the agents of the block, in the total order."""
     reader = _Reader(envelope)
     counts, n = reader.counts(len(block))
     arrival, slot, stamp = reader.ints(n), reader.ints(n), reader.ints(n)
@@ -100,31 +98,27 @@ def decode_mail(block: Block, envelope: Envelope) -> tuple[Deliveries, ...]:
         reader.check(_magnitude(stamp) <= tick, "has an impossible stamp")
         due = since + agent * period  # the agents' periods one after the other
         reader.check(due[1:] >= due[:-1], "arrives before the one ahead of it")
-    nothing = Deliveries(arrival[:0], slot[:0], stamp[:0], values[:0])
-    return tuple(
-        Deliveries(arrival[i:j], slot[i:j], stamp[i:j], values[i:j]) if i < j else nothing
-        for i, j in pairwise(accumulate(counts.tolist(), initial=0))
-    )
+    ends = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
+    return Mail(ends, arrival, slot, stamp, values)
 
 
 # --- several ticks at once ---------------------------------------------------------------------------------------
-def encode_rows(block: Block, ticks: Sequence[Sequence[Floats]]) -> list[Part]:
-    """Recorded rows of ticks that follow each other, the first being the envelope's: per tick, one row per agent.
+def encode_rows(block: Block, rows: Sequence[Floats]) -> list[Part]:
+    """Recorded rows of ticks that follow each other, the first being the envelope's: (row_width,) per tick.
 
     Raises:
-        ValueError: rows of other sizes than the block's.
+        ValueError: rows of another size than the block's.
     """
-    if any(tuple(map(len, rows)) != block.widths for rows in ticks):
-        raise ValueError(f"rows must have {block.widths} numbers")
-    return [len(ticks).to_bytes(8, "little"), *_joined(list(chain.from_iterable(ticks)), "<f8")]
+    if any(row.shape != (block.row_width,) for row in rows):
+        raise ValueError(f"rows must have {block.row_width} numbers")
+    return [len(rows).to_bytes(8, "little"), *_joined(rows, "<f8")]
 
 
-def decode_rows(block: Block, envelope: Envelope) -> list[list[Floats]]:
-    """Per tick, the first being the envelope's: one row per agent of the block."""
+def decode_rows(block: Block, envelope: Envelope) -> Floats:
+    """(n_ticks, row_width) rows of ticks that follow each other, the first being the envelope's."""
     reader = _Reader(envelope)
     n_ticks = reader.count()
-    values = reader.rest(n_ticks * block.row_ends[-1]).reshape(n_ticks, block.row_ends[-1])
-    return [[row[i:j] for i, j in pairwise(block.row_ends)] for row in values]
+    return reader.rest(n_ticks * block.row_width).reshape(n_ticks, block.row_width)
 
 
 def encode_fates(ticks: Sequence[Fates]) -> list[Part]:
@@ -174,6 +168,11 @@ def decode_object(envelope: Envelope) -> dict[str, object]:
 
 
 # --- arrays ------------------------------------------------------------------------------------------------------
+def _as(dtype: str, array: NDArray[Any]) -> Part:
+    """The memory of an array as the wire has it."""
+    return np.ascontiguousarray(array, dtype).data
+
+
 def _joined(arrays: Sequence[NDArray[Any]], dtype: str) -> list[Part]:
     """The memory of all arrays one after the other, as the wire has it."""
     return [np.concatenate(arrays, dtype=dtype).data] if arrays else []

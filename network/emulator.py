@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 
 from network.channel import Channel, ChannelModel
 from network.draws import Draws
-from network.messages import NEVER, Deliveries, Exchange, Fate, Fates, Floats, Ints, Links, MessageLayout
+from network.messages import NEVER, Exchange, Fate, Fates, Floats, Ints, Links, Mail, MessageLayout
 
 _MESSAGES_AT_ONCE = 2**14  # routed in one block, unless a single tick has more: beyond, caches overflow
 _TICKS_AT_ONCE = 64
@@ -137,8 +136,6 @@ class Emulator:
         self._block = self._route(0)
         self._tick = 0
         self._finished = False
-        nothing = np.zeros(0, np.int64)
-        self._no_deliveries = Deliveries(nothing, nothing, nothing, np.zeros((0, layout.width)))
 
     def emulate(self, tick: int, values: Floats) -> Exchange:
         """What becomes visible in [kT, (k+1)T), k being `tick`.
@@ -177,7 +174,7 @@ class Emulator:
             self._block = self._route(tick)
         self._tick += 1
         row = tick - self._block.first
-        return Exchange(tick, self._deliveries(row), self._fates(self._block.ends[row], self._block.ends[row + 1]))
+        return Exchange(tick, self._mail(row), self._fates(self._block.ends[row], self._block.ends[row + 1]))
 
     def finish(self) -> Fates:
         """The messages that are in flight when the run ends. Nothing can be emulated afterwards."""
@@ -252,19 +249,16 @@ class Emulator:
         order = np.argsort(_sort_key(box), kind="stable")
         begins = np.searchsorted(box[order], np.arange((stop - first) * self._n_agents + 1))
         rows = np.arange(stop - first)[:, None] * self._n_agents + np.arange(self._n_agents + 1)
-        return arrivals[:, order], begins[rows]
+        return np.take(arrivals, order, axis=1), begins[rows]
 
     # --- answers: one tick of the block ------------------------------------------------------------------------------
-    def _deliveries(self, row: int) -> tuple[Deliveries, ...]:
-        ends = self._block.mail_ends[row].tolist()
+    def _mail(self, row: int) -> Mail:
+        ends = self._block.mail_ends[row]
         mail = self._block.mail[:, ends[0] : ends[-1]]
         arrival, link, stamp = mail[_ARRIVAL], mail[_LINK], mail[_STAMP]
         slot, values = self._slot[link], self._samples.of(stamp, self._sender[link])
         slot.flags.writeable = values.flags.writeable = False
-        return tuple(
-            Deliveries(arrival[i:j], slot[i:j], stamp[i:j], values[i:j]) if i < j else self._no_deliveries
-            for i, j in pairwise(end - ends[0] for end in ends)
-        )
+        return Mail(ends - ends[0], arrival, slot, stamp, values)
 
     def _fates(self, begin: int, end: int) -> Fates:
         return self._as_fates(self._block.table[:, begin:end], self._block.fate[begin:end])

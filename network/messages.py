@@ -5,9 +5,11 @@ Everything is a struct of arrays, so that a tick costs the same few calls for te
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,9 +117,54 @@ class Deliveries:
 
 
 @dataclass(frozen=True)
+class Mail:
+    """What reaches a block of agents during one tick: the `Deliveries` of each, one after the other.
+
+    Iterating gives them agent by agent, which costs an object per agent; native agents take the arrays as they are.
+
+    Attributes:
+        ends: (n_agents + 1,) where each agent's deliveries begin, and the end.
+        arrival_ns, slot, stamp, values: (n,), those of `Deliveries`; contiguous.
+    """
+
+    ends: Ints
+    arrival_ns: Ints
+    slot: Ints
+    stamp: Ints
+    values: Floats
+
+    def __len__(self) -> int:
+        """How many agents."""
+        return len(self.ends) - 1
+
+    def __getitem__(self, agent: int) -> Deliveries:
+        return self._between(self.ends[agent], self.ends[agent + 1])
+
+    def __iter__(self) -> Iterator[Deliveries]:
+        nothing = self._between(0, 0)
+        return (self._between(i, j) if i < j else nothing for i, j in pairwise(self.ends.tolist()))
+
+    def of(self, agents: Sequence[int]) -> Mail:
+        """That of some agents, in their order; a range that counts up by one costs no copy."""
+        which: slice | Ints
+        if isinstance(agents, range):
+            ends = self.ends[agents.start : agents.stop + 1]
+            which, ends = slice(ends[0], ends[-1]), ends - ends[0]
+        else:
+            chosen = np.asarray(agents, np.intp)
+            begins, counts = self.ends[chosen], np.diff(self.ends)[chosen]
+            ends = np.concatenate(([0], np.cumsum(counts)))
+            which = (begins - ends[:-1]).repeat(counts) + np.arange(ends[-1])
+        return Mail(ends, self.arrival_ns[which], self.slot[which], self.stamp[which], self.values[which])
+
+    def _between(self, i: int, j: int) -> Deliveries:
+        return Deliveries(self.arrival_ns[i:j], self.slot[i:j], self.stamp[i:j], self.values[i:j])
+
+
+@dataclass(frozen=True)
 class Exchange:
-    """The emulator's answer to a tick: one `Deliveries` per agent (in the order of the file) and the fates decided."""
+    """The emulator's answer to a tick: the mail of all agents, in the order of the file, and the fates decided."""
 
     tick: int
-    deliveries: tuple[Deliveries, ...]
+    mail: Mail
     fates: Fates

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cosim.distributed.assignment import ORCHESTRATOR, Message, Share, batch_ticks, blocks, pick, rows_of
+from cosim.distributed.assignment import ORCHESTRATOR, Message, Share, batch_ticks, blocks, rows_of
 from cosim.plan import Plan
 from network import codec
 from network.emulator import Emulator
@@ -108,7 +108,7 @@ class Emulation:
         return messages + self.flush() if len(self._fates) >= self._batch_ticks else messages
 
     def _mail(self, name: str, exchange: Exchange) -> list[Part]:
-        return codec.encode_mail(self._wire[name], pick(exchange.deliveries, self._workers[name]))
+        return codec.encode_mail(exchange.mail.of(self._workers[name]))
 
     def _finish(self) -> list[Message]:
         """The last fates, and those of what is still in flight, which go under the last tick."""

@@ -19,10 +19,13 @@ from cosim.inline import Observer
 from cosim.master import Finish, Master
 from cosim.plan import Plan
 from network import codec
-from network.messages import Exchange, Fates, Floats
+from network.messages import Exchange, Fates, Floats, Ints, Mail
 from network.transport import Envelope, Kind, WireError
 
-_NO_MESSAGE: Floats = np.zeros(0)
+# Samples and mail go from the workers to the emulator and back, without passing through here.
+_NO_SAMPLES: Floats = np.zeros((0, 0))
+_NOTHING: Ints = np.zeros(0, np.int64)
+_NO_MAIL = Mail(np.zeros(1, np.int64), _NOTHING, _NOTHING, _NOTHING, _NO_SAMPLES)
 
 
 @dataclass(frozen=True)
@@ -53,11 +56,12 @@ class Orchestration:
         self._wire = blocks(plan, workers)
         self._index = {name: index for index, name in enumerate(workers)}
         indices = [agent for share in workers.values() for agent in share]
-        self._order = None if indices == sorted(indices) else np.argsort(indices).tolist()  # of rows as they come
+        numbers = np.repeat(indices, [width for block in self._wire.values() for width in block.widths])
+        self._order = None if indices == sorted(indices) else np.argsort(numbers, kind="stable")  # of a row as it comes
         self._observers = observers
-        self._master = Master(len(workers), 0, plan.ticks)
+        self._master = Master([0] * len(workers), 0, plan.ticks)
         self._unready = {EMULATOR, *workers}
-        self._rows: dict[str, deque[list[Floats]]] = {name: deque() for name in workers}
+        self._rows: dict[str, deque[Floats]] = {name: deque() for name in workers}
         self._rows_in = dict.fromkeys(workers, 0)  # ticks of which rows have come
         self._samples_in = dict.fromkeys(workers, 0)  # ticks whose samples the emulator says it has
         self._fates: deque[Fates] = deque()
@@ -181,19 +185,18 @@ class Orchestration:
             if self._over:
                 self.finished = True
             else:
-                self._master.exchanged(Exchange(self._master.tick, (), fates))
+                self._master.exchanged(Exchange(self._master.tick, _NO_MAIL, fates))
                 self._rows_done = False
 
     def _record_rows(self) -> None:
         tick = self._master.tick
-        rows: list[Floats] = []
-        for name, index in self._index.items():
-            rows += self._rows[name].popleft()
-            self._over = isinstance(self._master.published(index, tick, _NO_MESSAGE), Finish)
+        for index in self._index.values():
+            self._over = isinstance(self._master.published(index, tick, _NO_SAMPLES), Finish)
+        row = np.concatenate([self._rows[name].popleft() for name in self._index])
         if self._order is not None:
-            rows = [rows[i] for i in self._order]
+            row = row[self._order]
         for observer in self._observers:
-            observer.tick(tick, rows)
+            observer.tick(tick, row)
         self.recorded = tick
         self._rows_done = True
 

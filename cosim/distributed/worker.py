@@ -7,16 +7,14 @@ over what is recorded in batches.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
-from cosim.agent import Agent
+from cosim.agents import Agents
 from cosim.distributed.assignment import EMULATOR, ORCHESTRATOR, Message, Share, batch_ticks, blocks, pick
 from cosim.distributed.failure import INITIALISING, OPENING, Failure
 from cosim.errors import ConfigError, RunError
-from cosim.inline import open_agents, terminate
 from cosim.plan import AgentPlan, Plan
 from network import codec
-from network.messages import Deliveries, Floats
+from network.messages import Floats, Mail
 from network.transport import Envelope, Kind, WireError
 
 
@@ -33,9 +31,9 @@ class Worker:
         self._plan = plan
         self._share = workers[name]
         self._batch_ticks = batch_ticks(plan)
-        self._agents: list[Agent] = []
+        self._agents: Agents | None = None
         self._wire = blocks(plan, workers)[name]
-        self._rows: list[list[Floats]] = []
+        self._rows: list[Floats] = []
         self._tick = 0
         self._started = self._failed = False
         self.finished = False
@@ -52,14 +50,13 @@ class Worker:
     def prepare(self) -> list[Message]:
         """Open the agents and bring them to tick 0."""
         try:
-            self._agents = open_agents(replace(self._plan, agents=tuple(self._own)))
+            self._agents = Agents(self._plan, self._own)
         except (RunError, ConfigError) as error:
             return self._fail(Failure(OPENING, self._index_of(error), error))
-        for agent in self._agents:
-            try:
-                agent.initialise(self._plan.ticks * self._plan.period_ns)
-            except RunError as error:
-                return self._fail(Failure(INITIALISING, agent.plan.index, error))
+        try:
+            self._agents.initialise()
+        except RunError as error:
+            return self._fail(Failure(INITIALISING, self._index_of(error), error))
         return [Message(ORCHESTRATOR, Kind.READY, 0)]
 
     def handle(self, envelope: Envelope) -> list[Message]:
@@ -92,29 +89,36 @@ class Worker:
 
     def close(self) -> None:
         """End all agents."""
-        terminate(self._agents)
+        if self._agents is not None:
+            self._agents.terminate()
 
-    def _advance(self, mail: tuple[Deliveries, ...]) -> list[Message]:
-        for agent, deliveries in zip(self._agents, mail, strict=True):
-            try:
-                agent.advance(self._tick, deliveries)
-            except RunError as error:
-                return self._fail(Failure(self._tick, agent.plan.index, error))
+    def _advance(self, mail: Mail) -> list[Message]:
+        try:
+            self._opened.advance(self._tick, mail)
+        except RunError as error:
+            return self._fail(Failure(self._tick, self._index_of(error), error))
         self._tick += 1
         return self._publish()
 
     def _publish(self) -> list[Message]:
         """The sample of the current tick, and the rows if there are enough."""
-        self._rows.append([agent.row() for agent in self._agents])
+        agents = self._opened
+        self._rows.append(agents.row())
         if self._tick == self._plan.ticks:
             return [*self.flush(), Message(ORCHESTRATOR, Kind.DONE, self._tick)]
-        samples = codec.encode_samples(self._wire, [agent.message() for agent in self._agents])
+        samples = codec.encode_samples(self._wire, agents.samples())
         messages = [Message(EMULATOR, Kind.SAMPLES, self._tick, samples)]
         return messages + self.flush() if len(self._rows) >= self._batch_ticks else messages
 
     def _fail(self, failure: Failure) -> list[Message]:
         self._failed = True
         return [*self.flush(), Message(ORCHESTRATOR, Kind.FAILURE, max(0, failure.tick), failure.encode())]
+
+    @property
+    def _opened(self) -> Agents:
+        """The agents, once they are prepared."""
+        assert self._agents is not None
+        return self._agents
 
     def _index_of(self, error: RunError | ConfigError) -> int:
         """The agent that an error is about; the first, if it does not say."""

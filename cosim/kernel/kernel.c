@@ -10,7 +10,7 @@
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
-EXPORT bool cosim_kernel_advance(Agent *agent, int64_t start_ns, int64_t end_ns, const Updates *updates);
+EXPORT int64_t cosim_kernel_advance(const Block *block, int64_t tick, const Mail *mail);
 EXPORT uint64_t cosim_kernel_sizes(void);
 
 bool fail(Agent *agent, Failure failure) {
@@ -54,22 +54,32 @@ static bool integrate(Agent *agent, int64_t start_ns, int64_t end_ns) {
                                   : step_components(agent, start_ns, end_ns);
 }
 
-/* Put message number `i` into the mailbox. */
-static void deliver(Agent *agent, const Updates *updates, int64_t i) {
-    int64_t slot = updates->slot[i];
-    for (int32_t j = 0; j < agent->width; j++)
-        agent->signals[agent->mailbox_values[slot * agent->width + j]] = updates->values[i * agent->width + j];
-    agent->signals[agent->mailbox_stamp[slot]] = (double)updates->stamp[i];
-    agent->signals[agent->mailbox_time[slot]] = updates->time[i];
+/* Whether message number `i` is fresher than what the mailbox holds of its sender (cosim/mailbox.py). */
+static bool is_fresh(const Agent *agent, const Mail *mail, int64_t i) {
+    return (double)mail->stamp[i] > agent->signals[agent->mailbox_stamp[mail->slot[i]]];
 }
 
-/* Advance from one tick to the next, breaking at each arrival; afterwards the signals hold the sample of `end_ns`. */
-EXPORT bool cosim_kernel_advance(Agent *agent, int64_t start_ns, int64_t end_ns, const Updates *updates) {
-    int64_t time_ns = start_ns;
-    for (int64_t i = 0; i < updates->count;) {
-        int64_t arrival_ns = updates->arrival_ns[i];
+static void deliver(Agent *agent, const Mail *mail, int64_t i, int64_t period_ns) {
+    int64_t slot = mail->slot[i];
+    for (int32_t j = 0; j < agent->width; j++)
+        agent->signals[agent->mailbox_values[slot * agent->width + j]] = mail->values[i * agent->width + j];
+    agent->signals[agent->mailbox_stamp[slot]] = (double)mail->stamp[i];
+    agent->signals[agent->mailbox_time[slot]] = to_seconds(mail->stamp[i] * period_ns);
+}
+
+/* From one tick to the next with messages `first` up to `last`, breaking at each arrival that changes the mailbox;
+ * afterwards the signals hold the sample of `end_ns`. */
+static bool advance(Agent *agent, int64_t start_ns, int64_t period_ns, const Mail *mail, int64_t first, int64_t last) {
+    int64_t time_ns = start_ns, end_ns = start_ns + period_ns;
+    for (int64_t i = first; i < last;) {
+        int64_t arrival_ns = mail->arrival_ns[i];
+        if (!is_fresh(agent, mail, i)) {
+            i++;
+            continue;
+        }
         if (!integrate(agent, time_ns, arrival_ns)) return false;
-        for (; i < updates->count && updates->arrival_ns[i] == arrival_ns; i++) deliver(agent, updates, i);
+        for (; i < last && mail->arrival_ns[i] == arrival_ns; i++)
+            if (is_fresh(agent, mail, i)) deliver(agent, mail, i, period_ns);
         if (!handle_event(agent, arrival_ns, true)) return false;
         time_ns = arrival_ns;
     }
@@ -77,8 +87,26 @@ EXPORT bool cosim_kernel_advance(Agent *agent, int64_t start_ns, int64_t end_ns,
            carry_out(agent, agent->sample, agent->signals);
 }
 
+/* Advance members from `tick` to the next one, in their order. How many have been: if not all, then the next one has
+ * failed, and its kind says why. */
+EXPORT int64_t cosim_kernel_advance(const Block *block, int64_t tick, const Mail *mail) {
+    for (int64_t i = 0; i < block->n_members; i++) {
+        const Member *member = &block->members[i];
+        Agent *agent = member->agent;
+        agent->components = member->components;
+        agent->signals = member->signals;
+        agent->previous = member->previous;
+        agent->steps = member->steps;
+        agent->next_event = member->next_event;
+        agent->time = member->time;
+        int64_t first = mail->ends[member->place], last = mail->ends[member->place + 1];
+        if (!advance(agent, tick * block->period_ns, block->period_ns, mail, first, last)) return i;
+    }
+    return block->n_members;
+}
+
 /* Sizes of the structs that the caller fills, so that it can notice another version of the library. */
 EXPORT uint64_t cosim_kernel_sizes(void) {
     return (uint64_t)sizeof(Agent) << 48 | (uint64_t)sizeof(Component) << 32 | (uint64_t)sizeof(Transfer) << 16 |
-           (uint64_t)(sizeof(Failure) + sizeof(Updates));
+           (uint64_t)(sizeof(Failure) + sizeof(Mail) + sizeof(Member) + sizeof(Block));
 }

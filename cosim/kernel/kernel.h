@@ -1,10 +1,10 @@
-/* The native micro-step loop of one agent whose components are all FMUs.
+/* The native micro-step loop of agents whose components are all FMUs.
  *
  * It carries out the floating-point operations of cosim/coupling.py in the same order and so gives the same bits; that
  * file is the reference and says what the methods are. All memory belongs to the caller: nothing is allocated here, and
- * there is no state outside `Agent`. Every function that can fail returns false after noting why in `agent->failure`.
+ * there is no state outside `Agent` and `Member`. Every function that can fail returns false after noting why in `agent->failure`.
  *
- * The structs are mirrored in cosim/kernel/__init__.py, which compares their sizes when it loads the library.
+ * The structs are mirrored in cosim/kernel/layout.py, which compares their sizes when it loads the library.
  */
 #ifndef NETCOSIM_KERNEL_H
 #define NETCOSIM_KERNEL_H
@@ -61,7 +61,7 @@ typedef struct {
     int32_t first_state; /* where its states lie among those of the agent */
     int32_t reads_earlier; /* an input is connected to a component earlier in the file's order */
     void *instance;
-    Function functions[N_CALLS];
+    const Function *functions; /* N_CALLS */
 } Component;
 
 /* Values of one type that move between a component and the signals. */
@@ -105,16 +105,16 @@ typedef struct {
     double value;     /* time reached, or step size */
 } Failure;
 
-/* Messages that change the mailbox, in the order of arrival (cosim/mailbox.py). */
+/* What reaches several agents during a tick, agent by agent, in the order of arrival (network/messages.py). */
 typedef struct {
-    int64_t count;
+    const int64_t *ends; /* where the deliveries of each agent begin, and the end */
     const int64_t *arrival_ns;
     const int64_t *slot;
     const int64_t *stamp;
-    const double *time;
-    const double *values; /* count rows of the message's width */
-} Updates;
+    const double *values; /* rows of the message's width */
+} Mail;
 
+/* The agent at hand. All but what it remembers is shared by agents that are wired alike. */
 typedef struct {
     /* What the agent consists of. */
     int32_t n_components;
@@ -157,6 +157,25 @@ typedef struct {
 
     Failure failure;
 } Agent;
+
+/* One agent of a block: what it does not share. */
+typedef struct {
+    Agent *agent; /* of its kind; the pointers below are put into it while this one advances */
+    const Component *components;
+    double *signals;
+    double *previous;
+    double *steps;
+    double *next_event;
+    double *time;
+    int64_t place; /* among the receivers of the mail */
+} Member;
+
+/* Agents that are advanced by one call. */
+typedef struct {
+    int64_t n_members;
+    int64_t period_ns;
+    const Member *members;
+} Block;
 
 static inline double to_seconds(int64_t nanoseconds) { return (double)nanoseconds / NANOSECONDS_PER_SECOND; }
 

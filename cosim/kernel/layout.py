@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import sys
-from ctypes import c_bool, c_double, c_int32, c_int64, c_uint64, c_void_p
+from ctypes import c_double, c_int32, c_int64, c_uint64, c_void_p
 from enum import IntEnum
 from pathlib import Path
 
@@ -66,7 +66,7 @@ class Component(ctypes.Structure):
         ("first_state", c_int32),
         ("reads_earlier", c_int32),
         ("instance", c_void_p),
-        ("functions", c_void_p * N_CALLS),
+        ("functions", c_void_p),
     )
 
 
@@ -106,21 +106,14 @@ class Failure(ctypes.Structure):
     )
 
 
-class Updates(ctypes.Structure):
-    """Messages that change the mailbox."""
+class Mail(ctypes.Structure):
+    """`network.messages.Mail`."""
 
-    _fields_ = (
-        ("count", c_int64),
-        ("arrival_ns", c_void_p),
-        ("slot", c_void_p),
-        ("stamp", c_void_p),
-        ("time", c_void_p),
-        ("values", c_void_p),
-    )
+    _fields_ = tuple((name, c_void_p) for name in ("ends", "arrival_ns", "slot", "stamp", "values"))
 
 
 class Agent(ctypes.Structure):
-    """Everything that the kernel works on."""
+    """The agent at hand."""
 
     _fields_ = (
         *((name, c_int32) for name in ("n_components", "n_states", "n_signals", "width")),
@@ -138,6 +131,21 @@ class Agent(ctypes.Structure):
     )
 
 
+class Member(ctypes.Structure):
+    """One agent of a block."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("agent", "components", "signals", "previous", "steps", "next_event", "time")),
+        ("place", c_int64),
+    )
+
+
+class Block(ctypes.Structure):
+    """Agents that are advanced by one call."""
+
+    _fields_ = (("n_members", c_int64), ("period_ns", c_int64), ("members", c_void_p))
+
+
 @functools.cache
 def library() -> ctypes.CDLL:
     """The compiled kernel beside this file.
@@ -148,15 +156,15 @@ def library() -> ctypes.CDLL:
     suffix = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
     try:
         loaded = ctypes.CDLL(str(Path(__file__).with_name(f"_kernel{suffix}")))
-        loaded.cosim_kernel_advance.restype = c_bool
+        loaded.cosim_kernel_advance.restype = c_int64
         loaded.cosim_kernel_sizes.restype = c_uint64
     except (OSError, AttributeError) as error:
         raise _unusable(f"cannot be loaded ({error})") from error
-    loaded.cosim_kernel_advance.argtypes = (c_void_p, c_int64, c_int64, c_void_p)
-    agent, component, transfer, failure, updates = (
-        ctypes.sizeof(struct) for struct in (Agent, Component, Transfer, Failure, Updates)
+    loaded.cosim_kernel_advance.argtypes = (c_void_p, c_int64, c_void_p)
+    agent, component, transfer, *others = (
+        ctypes.sizeof(struct) for struct in (Agent, Component, Transfer, Failure, Mail, Member, Block)
     )
-    if loaded.cosim_kernel_sizes() != agent << 48 | component << 32 | transfer << 16 | failure + updates:
+    if loaded.cosim_kernel_sizes() != agent << 48 | component << 32 | transfer << 16 | sum(others):
         raise _unusable("was built from other sources")
     return loaded
 

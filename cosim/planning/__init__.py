@@ -175,6 +175,10 @@ def _agents(
     for edge in edges:
         incoming[edge.receiver].append(edge)
     heard = {edge.sender for edge in edges}
+    publish = {  # one for agents alike, by which `Wirings` knows them
+        id(blueprint): tuple(blueprint.publish[name] for name in layout.names if name in blueprint.publish)
+        for blueprint in _each_once(blueprints.values())
+    }
     for member in members:
         blueprint, edges_in = blueprints[member.name], incoming[member.name]
         if blueprint.coupling is None:
@@ -184,7 +188,7 @@ def _agents(
             name=member.name,
             components=member.components,
             connections=blueprint.connections,
-            publish=tuple(blueprint.publish[name] for name in layout.names) if member.name in heard else (),
+            publish=publish[id(blueprint)] if member.name in heard else (),
             mailbox=mailboxes[id(blueprint)],
             neighbours=tuple(index_of[edge.sender] for edge in edges_in),
             weights=tuple(edge.weight for edge in edges_in),

@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import datetime
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -135,19 +135,19 @@ class Recorder:
             where = Path(error.filename or self.folder)
             raise folder_problem(where, f"cannot write the run folder: {error.strerror or error}") from None
 
-    def tick(self, tick: int, rows: Sequence[Floats]) -> None:
+    def tick(self, tick: int, row: Floats) -> None:
         """Record a tick.
 
         Args:
             tick: 0, 1, 2, … in order.
-            rows: per agent, its recorded scalars in the order of `AgentPlan.record`. They are copied.
+            row: agent by agent, its recorded scalars in the order of `AgentPlan.record`. It is copied.
 
         Raises:
             RecordingError: the disk is full.
         """
         if tick != self._written + self._kept:
             raise ValueError(f"tick {tick} was recorded after tick {self._written + self._kept - 1}")
-        np.concatenate(rows, out=self._block[self._kept])
+        self._block[self._kept] = row
         self._kept += 1
         if self._kept == len(self._block):
             self._write_rows()

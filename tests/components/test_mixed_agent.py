@@ -15,7 +15,7 @@ import fmus
 from cosim.components.component import Floats
 from cosim.components.opening import describe, open_components
 from cosim.components.python import Input, Output, PythonComponent, State
-from cosim.coupling import LoopState, PythonLoop
+from cosim.coupling import LoopMemory, PythonLoop
 from cosim.mailbox import Updates
 from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, Integrator, MailboxPlan, Method, Port
 from cosim.wiring import wire
@@ -93,7 +93,8 @@ def recorded(plan: AgentPlan, ticks: int) -> Floats:
     """The recorded values at every tick, shape (ticks + 1, width)."""
     components = open_components(plan)
     wiring = wire(plan, MessageLayout((), ()))
-    state = LoopState(wiring.initial_signals(plan), len(components))
+    state = LoopMemory([(wiring.n_signals, len(components))]).state(0)
+    wiring.fill(state.signals, plan)
     loop = PythonLoop(wiring, components, plan.coupling, state)
     try:
         loop.initialise(0, ticks * T_NS)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import numpy as np
 from hypothesis import strategies as st
 
 from cosim import inline
@@ -93,13 +92,13 @@ def planned(text: str) -> Plan:
 class Record:
     """An observer that keeps all it is told, in order."""
 
-    ticks: list[tuple[int, list[bytes]]] = field(default_factory=list)
+    ticks: list[tuple[int, bytes]] = field(default_factory=list)
     fates_of: list[dict[str, list[int]]] = field(default_factory=list)
     calls: list[str] = field(default_factory=list)
 
-    def tick(self, tick: int, rows: Sequence[Floats]) -> None:
+    def tick(self, tick: int, row: Floats) -> None:
         self.calls.append("tick")
-        self.ticks.append((tick, [np.asarray(row).tobytes() for row in rows]))
+        self.ticks.append((tick, row.tobytes()))
 
     def fates(self, fates: Fates) -> None:
         self.calls.append("fates")

@@ -11,12 +11,12 @@ import numpy as np
 import fmus
 from cosim.components.component import Component, Value, Variable, head
 from cosim.components.opening import describe, open_components
-from cosim.coupling import LoopState, PythonLoop
-from cosim.kernel import NativeLoop
-from cosim.mailbox import Updates
+from cosim.coupling import LoopMemory, PythonLoop
+from cosim.kernel import Member, NativeBlock
+from cosim.mailbox import Mailbox
 from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, Integrator, MailboxPlan, Method, Port
 from cosim.wiring import wire
-from network.messages import MessageLayout
+from network.messages import Mail, MessageLayout
 
 T_NS = 100_000_000
 LAYOUT = MessageLayout(("p", "v_hat"), (2, 2))
@@ -95,27 +95,42 @@ def component(
     return ComponentPlan(name, path, None, description, {key: tuple(value) for key, value in start.items()})
 
 
-def updates(rows: Sequence[tuple[int, int, int, Sequence[float]]]) -> Updates:
-    """From (arrival in ns, slot, stamp, values), in the order of arrival."""
-    stamps = np.array([row[2] for row in rows], dtype=np.int64)
-    return Updates(
-        arrival_ns=np.array([row[0] for row in rows], dtype=np.int64),
-        slot=np.array([row[1] for row in rows], dtype=np.int64),
-        stamp=stamps,
-        time=(stamps * T_NS) / 1e9,
-        values=np.array([row[3] for row in rows], dtype=np.float64).reshape(len(rows), LAYOUT.width),
-    )
+def mail(rows: Sequence[tuple[int, int, int, Sequence[float]]], layout: MessageLayout = LAYOUT) -> Mail:
+    """For one agent, from (arrival in ns, slot, stamp, values), in the order of arrival."""
+    arrival, slot, stamp = (np.array([row[i] for row in rows], dtype=np.int64) for i in range(3))
+    values = np.array([row[3] for row in rows], dtype=np.float64).reshape(len(rows), layout.width)
+    return Mail(np.array([0, len(rows)]), arrival, slot, stamp, values)
 
 
 class LiveAgent:
-    """The components of a plan, initialised, with one of the two loops."""
+    """The components of a plan, with one of the two loops."""
 
     def __init__(self, agent: AgentPlan, *, native: bool, layout: MessageLayout = LAYOUT) -> None:
         self.components: list[Component] = open_components(agent)
         self.wiring = wire(agent, layout)
-        self.state = LoopState(self.wiring.initial_signals(agent), len(self.components))
+        self.memory = LoopMemory([(self.wiring.n_signals, len(self.components))])
+        self.state = self.memory.state(0)
+        self.wiring.fill(self.state.signals, agent)
         self.python = PythonLoop(self.wiring, self.components, agent.coupling, self.state)
-        self.loop = NativeLoop(self.wiring, self.components, agent.coupling, self.state) if native else self.python
+        self._mailbox = Mailbox(len(agent.neighbours), T_NS)
+        member = Member(0, self.wiring, self.components, agent.coupling)
+        self._block = NativeBlock([member], self.memory, T_NS) if native else None
+        self._layout = layout
+
+    def advance(self, tick: int, rows: Sequence[tuple[int, int, int, Sequence[float]]] = ()) -> None:
+        """To the next tick; raises the `ComponentError`."""
+        came = mail(rows, self._layout)
+        if self._block is None:
+            self.python.advance(tick * T_NS, (tick + 1) * T_NS, self._mailbox.accept(came[0]))
+        elif failed := self._block.advance(tick, came):
+            raise failed.error
+
+    def end(self) -> None:
+        """End the components, as `cosim.agents.Agents` does."""
+        if self._block is not None:
+            self._block.end()
+        for component in self.components:
+            component.terminate()
 
     def snapshot(self) -> bytes:
         """Every bit that the loop leaves behind."""
@@ -136,8 +151,7 @@ def live(case: Case, *, native: bool, ticks: int = 100) -> Iterator[LiveAgent]:
         agent.python.initialise(0, ticks * T_NS)
         yield agent
     finally:
-        for component in agent.components:
-            component.terminate()
+        agent.end()
 
 
-__all__ = ["LAYOUT", "T_NS", "Case", "LiveAgent", "component", "live", "plan", "replace", "updates"]
+__all__ = ["LAYOUT", "T_NS", "Case", "LiveAgent", "component", "live", "mail", "plan", "replace"]

@@ -16,7 +16,7 @@ from cosim.components.opening import describe
 from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, Integrator, MailboxPlan, Method, Port
 from network.messages import MessageLayout
 from tests.components.probe import TYPES
-from tests.kernel.agents import LAYOUT, T_NS, Case, LiveAgent, live, updates
+from tests.kernel.agents import LAYOUT, T_NS, Case, LiveAgent, live
 
 Row = tuple[int, int, int, list[float]]
 
@@ -65,7 +65,7 @@ def trace(case: Case, periods: Sequence[Sequence[Row]], *, native: bool) -> list
     with live(case, native=native, ticks=len(periods)) as agent:
         seen = [agent.snapshot()]
         for tick, rows in enumerate(periods):
-            agent.loop.advance(tick * T_NS, (tick + 1) * T_NS, updates(rows))
+            agent.advance(tick, rows)
             seen.append(agent.snapshot())
         return seen
 
@@ -95,7 +95,7 @@ def test_the_order_of_calls_does_not_matter_to_other_agents() -> None:
         seen = [one.snapshot()]
         for tick in range(2):
             for agent in (two, one):
-                agent.loop.advance(tick * T_NS, (tick + 1) * T_NS, updates([]))
+                agent.advance(tick)
             seen.append(one.snapshot())
     assert seen == alone
 
@@ -141,7 +141,7 @@ def probe_trace(plan: AgentPlan, *, native: bool, ticks: int = 3) -> tuple[list[
         agent.python.initialise(0, ticks * T_NS)
         seen = [agent.snapshot()]
         for tick in range(ticks):
-            agent.loop.advance(tick * T_NS, (tick + 1) * T_NS, updates([]))
+            agent.advance(tick)
             seen.append(agent.snapshot())
         return seen, agent.state.signals[agent.wiring.recorded]
     finally:

@@ -11,11 +11,11 @@ import pytest
 from cosim.components.component import Interface
 from cosim.components.python import PythonInstance, describe_python
 from cosim.errors import ComponentError, ConfigError
-from cosim.kernel import NativeLoop, layout
+from cosim.kernel import Member, NativeBlock, layout
 from cosim.plan import AgentPlan, CouplingPlan, Integrator, Method
 from fmus import build
 from network.messages import MessageLayout
-from tests.kernel.agents import T_NS, Case, LiveAgent, live, updates
+from tests.kernel.agents import T_NS, Case, LiveAgent, live
 from tests.kernel.test_bits import probe_pair
 
 NO_MESSAGES = MessageLayout((), ())
@@ -25,7 +25,7 @@ STEPS = CouplingPlan(Method.GAUSS_SEIDEL, 10_000_000)
 
 def advance(agent: LiveAgent, ticks: int) -> None:
     for tick in range(ticks):
-        agent.loop.advance(tick * T_NS, (tick + 1) * T_NS, updates([]))
+        agent.advance(tick)
 
 
 def failure(plan: AgentPlan, *, native: bool, ticks: int = 100) -> tuple[str, str, str | None, float]:
@@ -94,7 +94,7 @@ def test_values_that_never_settle_at_an_event(probes: dict[int, Path]) -> None:
     with pytest.raises(ComponentError, match="did not settle within 100 rounds") as at_start:
         agent.python.initialise(0, T_NS)
     with pytest.raises(ComponentError) as native:
-        agent.loop.advance(0, T_NS, updates([]))
+        agent.advance(0)
     assert native.value.args == at_start.value.args
     for component in agent.components:
         component.terminate()
@@ -125,9 +125,10 @@ def test_the_adaptation_law_as_printed_blows_up() -> None:
 # --- using it wrongly -----------------------------------------------------------------------------------------------
 def test_an_ended_agent_cannot_advance() -> None:
     with live(Case(), native=True) as agent:
-        agent.components[0].terminate()
-        with pytest.raises(ComponentError, match="has failed or ended"):
-            agent.loop.advance(0, T_NS, updates([]))
+        agent.advance(0)
+        agent.end()
+        with pytest.raises(ValueError, match="has failed or ended"):
+            agent.advance(1)
 
 
 def test_python_components_need_the_python_loop(probes: dict[int, Path]) -> None:
@@ -137,7 +138,7 @@ def test_python_components_need_the_python_loop(probes: dict[int, Path]) -> None
         "s", "cosim.components.library:Sine", Interface.CO_SIMULATION, describe_python("cosim.components.library:Sine")
     )
     with pytest.raises(ConfigError, match="loop: python"):
-        NativeLoop(agent.wiring, [agent.components[0], sine], STEPS, agent.state)
+        NativeBlock([Member(0, agent.wiring, [agent.components[0], sine], STEPS)], agent.memory, T_NS)
     for component in agent.components:
         component.terminate()
 
@@ -150,7 +151,7 @@ def test_texts_cannot_be_connected(probes: dict[int, Path]) -> None:
 
 def test_a_time_beyond_the_exact_range() -> None:
     with live(Case(), native=True) as agent, pytest.raises(ComponentError, match="loop: python"):
-        agent.loop.advance(2**53, 2**53 + T_NS, updates([]))
+        agent.advance(2**53 // T_NS)
 
 
 # --- the library ----------------------------------------------------------------------------------------------------

@@ -121,7 +121,7 @@ def test_it_does_what_a_loop_over_messages_does(network: tuple[Links, list[str]]
         exchange = emulator.emulate(tick, _sample(tick, n_agents))
         assert exchange.tick == tick
         assert rows(exchange.fates) == fates[tick]
-        for got, expected in zip(exchange.deliveries, deliveries[tick], strict=True):
+        for got, expected in zip(exchange.mail, deliveries[tick], strict=True):
             assert _delivered(got) == [(arrival, slot, stamp) for arrival, slot, stamp, _ in expected]
             values = [_sample(stamp, n_agents)[sender].tolist() for _, _, stamp, sender in expected]
             assert got.values.tolist() == values
@@ -181,7 +181,7 @@ def test_an_arrival_at_the_next_tick_belongs_to_it() -> None:
     links = links_of("ab", [(0, 1)])
     for delay, due in (("99999999 ns", 0), ("100 ms", 1), ("0 s", 0)):
         emulator = emulator_of(links, Delay.model_validate({"delay": delay}))
-        counts = [len(emulator.emulate(tick, _sample(tick, 2)).deliveries[1]) for tick in range(3)]
+        counts = [len(emulator.emulate(tick, _sample(tick, 2)).mail[1]) for tick in range(3)]
         assert counts == [int(tick >= due) for tick in range(3)]
 
 
@@ -191,7 +191,7 @@ def test_messages_carry_the_sample_of_their_stamp_however_long_they_fly() -> Non
     seen = 0
     for tick in range(700):
         values = _sample(tick, 3)
-        for receiver, deliveries in enumerate(emulator.emulate(tick, values).deliveries):
+        for receiver, deliveries in enumerate(emulator.emulate(tick, values).mail):
             senders = links.sender[links.receiver == receiver][deliveries.slot]
             expected = deliveries.stamp[:, None] * 1000.0 + senders[:, None] * 10.0 + np.arange(LAYOUT.width)
             assert (deliveries.values == expected).all()
@@ -210,7 +210,7 @@ def test_samples_may_lag_by_the_slack(profile: str, slack: int) -> None:
             lagging.publish(tick - slack, _sample(tick - slack, 4))
         late, early = lagging.exchange(tick), prompt.emulate(tick, _sample(tick, 4))
         assert rows(late.fates) == rows(early.fates)
-        for got, expected in zip(late.deliveries, early.deliveries, strict=True):
+        for got, expected in zip(late.mail, early.mail, strict=True):
             assert _delivered(got) == _delivered(expected)
             assert (got.values == expected.values).all()
 
@@ -249,13 +249,13 @@ def test_a_saved_emulator_goes_on_alike(profile: str) -> None:
     for tick in range(40, 100):
         one, other = (each.emulate(tick, _sample(tick, 4)) for each in (emulator, copy))
         assert rows(one.fates) == rows(other.fates)
-        assert [d.values.tolist() for d in one.deliveries] == [d.values.tolist() for d in other.deliveries]
+        assert [d.values.tolist() for d in one.mail] == [d.values.tolist() for d in other.mail]
     assert rows(emulator.finish()) == rows(copy.finish())
 
 
 def test_what_it_hands_out_is_read_only() -> None:
     emulator = emulator_of(dense_links(3, 1), Ideal())
-    deliveries = emulator.emulate(0, _sample(0, 3)).deliveries[0]
+    deliveries = emulator.emulate(0, _sample(0, 3)).mail[0]
     for array in (deliveries.arrival_ns, deliveries.slot, deliveries.stamp, deliveries.values):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0

@@ -157,13 +157,11 @@ class Integrators:
     def message(self) -> Floats:
         return np.hstack([self.p, self.v_hat])
 
-    def rows(self) -> list[Floats]:
+    def row(self) -> Floats:
         values = {"plant.p": self.p, "plant.v": self.v, "controller.v_hat": self.v_hat}
         values["controller.theta_hat"] = self.theta
-        return [
-            np.concatenate([np.empty(0), *(values[name][agent.index] for name, _ in agent.record)])
-            for agent in self._plan.agents
-        ]
+        recorded = (values[name][agent.index] for agent in self._plan.agents for name, _ in agent.record)
+        return np.concatenate([np.empty(0), *recorded])
 
     def advance(self, exchange: Exchange) -> None:
         h = self._plan.period / MICRO_STEPS
@@ -188,7 +186,7 @@ class Integrators:
 
     def _receive(self, exchange: Exchange) -> np.ndarray:
         fresh = np.zeros(len(self._stamp), bool)
-        for receiver, deliveries in enumerate(exchange.deliveries):
+        for receiver, deliveries in enumerate(exchange.mail):
             for slot, stamp, values in zip(
                 deliveries.slot.tolist(), deliveries.stamp.tolist(), deliveries.values, strict=True
             ):
@@ -212,9 +210,9 @@ def play(plan: Plan, recorder: Recorder, ticks: int) -> None:
     agents = Integrators(plan)
     emulator = Emulator(plan.links, plan.channels, plan.link_channel, plan.layout, plan.seed, plan.period_ns)
     for tick in range(ticks):
-        recorder.tick(tick, agents.rows())
+        recorder.tick(tick, agents.row())
         exchange = emulator.emulate(tick, agents.message())
         recorder.fates(exchange.fates)
         agents.advance(exchange)
-    recorder.tick(ticks, agents.rows())
+    recorder.tick(ticks, agents.row())
     recorder.fates(emulator.finish())

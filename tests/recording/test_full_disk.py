@@ -33,7 +33,7 @@ def fill(folder: Path) -> None:
     status = "complete"
     try:
         for tick in range(TICKS + 1):
-            recorder.tick(tick, list(rng.normal(size=(N_AGENTS, 11))))
+            recorder.tick(tick, rng.normal(size=N_AGENTS * 11))
             recorder.fates(some_fates(5, N_AGENTS, rng))
     except RecordingError as error:
         status = f"aborted: {error}"
@@ -125,7 +125,7 @@ def test_disk_that_is_full_at_the_end(small_disk: Path) -> None:
         if tick == 2000:
             leave(small_disk, 20)
         try:
-            recorder.tick(tick, list(np.random.default_rng(tick).normal(size=(2, 11))))
+            recorder.tick(tick, np.random.default_rng(tick).normal(size=22))
         except RecordingError as error:
             recorder.close(f"aborted: {error}")
     results = load(folder)
@@ -139,7 +139,7 @@ def test_complete_becomes_aborted_when_the_last_block_does_not_fit(
     recorder = Recorder(make_plan(2, 10, record={"plant.x": ((), None)}), tmp_path / "run")
     recorder.open()
     for tick in range(10):
-        recorder.tick(tick, [np.ones(1)] * 2)
+        recorder.tick(tick, np.ones(2))
 
     def full(descriptor: int, start: int, end: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

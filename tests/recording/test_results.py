@@ -53,7 +53,7 @@ def test_shapes(folders: Folders) -> None:
     recorder = Recorder(make_plan(2, 1, record=[variables, {"plant.m": ((1, 3), "kg")}]), folder)
     recorder.open()
     for tick in range(2):
-        recorder.tick(tick, [np.arange(8.0) + 10 * tick, -np.arange(3.0)])
+        recorder.tick(tick, np.concatenate([np.arange(8.0) + 10 * tick, -np.arange(3.0)]))
     recorder.close("complete")
     results = load(folder)
     assert results.array("plant.x").tolist()[1][0] == 10.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -27,7 +27,7 @@ from network.codec import (
     encode_samples,
 )
 from network.envelope import Envelope, Kind, Part, Streams, WireError
-from network.messages import NEVER, Deliveries, Fate, Fates, Floats, Ints
+from network.messages import NEVER, Deliveries, Fate, Fates, Floats, Ints, Mail
 
 T = 100_000_000
 N_AGENTS = 9
@@ -75,6 +75,15 @@ def deliveries(draw: st.DrawFn, block: Block, agent: int, tick: int) -> Deliveri
     return Deliveries(arrival, slot, stamp, floats(draw, n, block.width))
 
 
+def joined(mail: Sequence[Deliveries]) -> Mail:
+    """The deliveries of agents, one after the other."""
+    if not mail:
+        return Mail(ints(0), ints(), ints(), ints(), np.zeros((0, 0)))
+    columns = ([getattr(some, name) for some in mail] for name in ("arrival_ns", "slot", "stamp", "values"))
+    ends = np.cumsum([0, *map(len, mail)])
+    return Mail(ends, *map(np.concatenate, columns))
+
+
 @st.composite
 def fates(draw: st.DrawFn, tick: int) -> Fates:
     """Fates that the emulator could tell at a tick."""
@@ -88,18 +97,17 @@ def fates(draw: st.DrawFn, tick: int) -> Fates:
 
 @given(st.data(), blocks)
 def test_samples_come_out(data: st.DataObject, block: Block) -> None:
-    messages = [data.draw(st.sampled_from([floats(data.draw, block.width), np.zeros(0)])) for _ in block.neighbours]
-    came = decode_samples(block, sent(encode_samples(block, messages)))
-    rows = [message if len(message) else np.zeros(block.width) for message in messages]
-    assert same(np.array(rows).reshape(len(block), block.width), came)
+    samples = floats(data.draw, len(block), block.width)
+    assert same(samples, decode_samples(block, sent(encode_samples(block, samples))))
 
 
 @given(st.data(), blocks, st.integers(0, 10))
 def test_mail_comes_out(data: st.DataObject, block: Block, tick: int) -> None:
     mail = [data.draw(deliveries(block, agent, tick)) for agent in range(len(block))]
-    came = decode_mail(block, sent(encode_mail(block, mail), tick))
+    came = decode_mail(block, sent(encode_mail(joined(mail)), tick))
     assert len(came) == len(mail)
-    for theirs, ours in zip(mail, came, strict=True):
+    for agent, (theirs, ours) in enumerate(zip(mail, came, strict=True)):
+        assert same(ours.values, came[agent].values)
         assert same(theirs.arrival_ns, ours.arrival_ns)
         assert same(theirs.slot, ours.slot)
         assert same(theirs.stamp, ours.stamp)
@@ -108,11 +116,8 @@ def test_mail_comes_out(data: st.DataObject, block: Block, tick: int) -> None:
 
 @given(st.data(), blocks, st.integers(0, 3))
 def test_rows_come_out(data: st.DataObject, block: Block, n_ticks: int) -> None:
-    ticks = [[floats(data.draw, width) for width in block.widths] for _ in range(n_ticks)]
-    came = decode_rows(block, sent(encode_rows(block, ticks)))
-    assert len(came) == n_ticks
-    for theirs, ours in zip(ticks, came, strict=True):
-        assert all(same(a, b) for a, b in zip(theirs, ours, strict=True))
+    rows = floats(data.draw, n_ticks, sum(block.widths))
+    assert same(rows, decode_rows(block, sent(encode_rows(block, list(rows)))))
 
 
 @given(st.data(), st.integers(0, 10), st.integers(0, 3))
@@ -128,7 +133,7 @@ def test_fates_come_out(data: st.DataObject, tick: int, n_ticks: int) -> None:
 def test_arrays_in_any_order_of_memory_come_out() -> None:
     block = Block((1, 1), (3, 3), 3, T)
     values = np.arange(12.0).reshape(6, 2).T[:, ::2]
-    assert same(np.array(values), decode_samples(block, sent(encode_samples(block, list(values)))))
+    assert same(np.array(values), decode_samples(block, sent(encode_samples(block, values))))
 
 
 json_values = st.recursive(
@@ -151,10 +156,10 @@ MAIL = [
     Deliveries(ints(5 * T + 3), ints(0), ints(0), np.ones((1, 2))),
 ]
 FATES = Fates(ints(0, 8), ints(1, 0), ints(3, 5), ints(4, 5), ints(NEVER, 6 * T), ints(Fate.LOST, Fate.DELIVERED))
-ROWS = [[np.ones(1), np.ones(2), np.ones(0)]] * 2
+ROWS = [np.ones(3)] * 2
 GOOD: list[tuple[Callable[[Envelope], object], list[Part]]] = [
-    (lambda envelope: decode_samples(BLOCK, envelope), encode_samples(BLOCK, [np.ones(2)] * 3)),
-    (lambda envelope: decode_mail(BLOCK, envelope), encode_mail(BLOCK, MAIL)),
+    (lambda envelope: decode_samples(BLOCK, envelope), encode_samples(BLOCK, np.ones((3, 2)))),
+    (lambda envelope: decode_mail(BLOCK, envelope), encode_mail(joined(MAIL))),
     (lambda envelope: decode_rows(BLOCK, envelope), encode_rows(BLOCK, ROWS)),
     (lambda envelope: decode_fates(N_AGENTS, envelope), encode_fates([FATES, FATES])),
     (decode_object, encode_object({"a": [1, 2]})),
@@ -199,12 +204,12 @@ def test_mail_that_no_emulator_sends_is_refused(column: str, values: Ints, what:
     changes: dict[str, Any] = {column: values}
     mail = [replace(MAIL[0], **changes), *MAIL[1:]]
     with pytest.raises(WireError, match=f"the body of MAIL of tick 5 has a message that {what}"):
-        decode_mail(BLOCK, sent(encode_mail(BLOCK, mail), kind=Kind.MAIL))
+        decode_mail(BLOCK, sent(encode_mail(joined(mail)), kind=Kind.MAIL))
 
 
 def test_mail_for_an_agent_without_neighbours_is_refused() -> None:
     with pytest.raises(WireError, match="is from no in-neighbour"):
-        decode_mail(BLOCK, sent(encode_mail(BLOCK, [MAIL[1], MAIL[0], MAIL[1]])))
+        decode_mail(BLOCK, sent(encode_mail(joined([MAIL[1], MAIL[0], MAIL[1]]))))
 
 
 @pytest.mark.parametrize(
@@ -239,7 +244,7 @@ def test_absurd_counts_are_refused_before_memory_is_asked_for(count: int) -> Non
 @pytest.mark.parametrize("tick", [-1, 2**62 // T + 1, 2**63 - 1, -(2**63)])
 def test_ticks_beyond_any_run_are_refused(tick: int) -> None:
     with pytest.raises(WireError, match="is of no tick of any run"):
-        decode_mail(BLOCK, sent(encode_mail(BLOCK, MAIL), tick))
+        decode_mail(BLOCK, sent(encode_mail(joined(MAIL)), tick))
 
 
 @pytest.mark.parametrize("tick", [-1, 2**63 - 1])
@@ -249,8 +254,13 @@ def test_fates_beyond_any_run_are_refused(tick: int) -> None:
 
 
 def test_rows_of_another_size_are_not_sent() -> None:
-    with pytest.raises(ValueError, match=r"rows must have \(1, 2, 0\) numbers"):
-        encode_rows(BLOCK, [[np.ones(2), np.ones(1), np.ones(0)]])
+    with pytest.raises(ValueError, match="rows must have 3 numbers"):
+        encode_rows(BLOCK, [np.ones(3), np.ones(2)])
+
+
+def test_samples_of_another_shape_are_not_sent() -> None:
+    with pytest.raises(ValueError, match=r"samples must have the shape \(3, 2\)"):
+        encode_samples(BLOCK, np.ones((2, 3)))
 
 
 @pytest.mark.parametrize("body", [b"\xff", b"[1]", b"1", b"", b"{", b"[" * 100_000])

@@ -38,11 +38,13 @@ class Native:
 
     Attributes:
         fmi: 2 or 3.
+        library: the loaded library, to be compared by identity.
         instance: the FMU's instance pointer.
         address: of an FMI function of its library, by the function's name in the standard.
     """
 
     fmi: int
+    library: object
     instance: int
     address: Callable[[str], int]
 
@@ -79,6 +81,7 @@ class FmuComponent(Component):
         dll = self._fmu.dll
         return Native(
             fmi=self._fmi,
+            library=dll,
             instance=self._instance,
             address=lambda name: ctypes.cast(getattr(dll, name), ctypes.c_void_p).value or 0,
         )

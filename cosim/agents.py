@@ -1,0 +1,126 @@
+"""The agents of a worker, or of the in-process run, opened and advanced together. Pure given their components.
+
+What they publish and what is recorded of them lies in one array, and is gathered by one call of numpy. Agents made of
+FMUs are advanced by one call of the native loop, the others one after the other. The outcome is that of advancing each
+in its turn: agents do not meet but through the mail, and of several failures that of the first agent counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.agent import Agent
+from cosim.components.component import Floats
+from cosim.components.opening import open_components
+from cosim.coupling import LoopMemory
+from cosim.plan import AgentPlan, Loop, Plan
+from cosim.wiring import Wirings
+from network.messages import Mail
+
+if TYPE_CHECKING:
+    from cosim.kernel import NativeBlock
+
+
+class Agents:
+    """The call order is `initialise`, then for every tick: `samples`, `row`, `advance`; at the end `terminate`.
+
+    Args:
+        plan: of the whole run.
+        own: which of its agents; all of them by default.
+
+    Raises:
+        ConfigError: a component cannot be opened; none is left open.
+        RunError: a component refuses.
+    """
+
+    def __init__(self, plan: Plan, own: Sequence[AgentPlan] | None = None) -> None:
+        self._plan = plan
+        own = plan.agents if own is None else own
+        wirings = Wirings(plan.layout)
+        wired = [wirings.of(agent) for agent in own]
+        self._memory = LoopMemory(
+            [(wiring.n_signals, len(agent.components)) for agent, wiring in zip(own, wired, strict=True)]
+        )
+        self._agents: list[Agent] = []
+        self._native: NativeBlock | None = None
+        try:
+            for index, (agent, wiring) in enumerate(zip(own, wired, strict=True)):
+                components = open_components(agent)
+                self._agents.append(Agent(agent, wiring, plan.period_ns, components, self._memory.state(index)))
+            self._by_themselves = [i for i, agent in enumerate(own) if agent.coupling.loop is Loop.PYTHON]
+            self._native = self._native_block([i for i, agent in enumerate(own) if agent.coupling.loop is Loop.NATIVE])
+        except BaseException:
+            self.terminate()
+            raise
+        self._places_of_samples = self._published()
+        self._places_of_row = self._recorded()
+
+    def initialise(self) -> None:
+        """Bring all agents to tick 0.
+
+        Raises:
+            RunError: a component failed.
+        """
+        for agent in self._agents:
+            agent.initialise(self._plan.ticks * self._plan.period_ns)
+
+    def samples(self) -> Floats:
+        """(n_agents, width) what the agents publish at the current tick; zero where nobody hears one."""
+        return self._memory.signals[self._places_of_samples]
+
+    def row(self) -> Floats:
+        """What is recorded at the current tick, agent by agent, before deliveries of this very instant take effect."""
+        return self._memory.signals[self._places_of_row]
+
+    def advance(self, tick: int, mail: Mail) -> None:
+        """From `tick` to the next one; deliveries take effect at their exact times of arrival.
+
+        Raises:
+            RunError: a component failed. Nothing may be advanced afterwards.
+        """
+        failed = self._native.advance(tick, mail) if self._native else None
+        if self._by_themselves:
+            deliveries = list(mail)
+            for index in self._by_themselves:
+                if failed and failed.index < index:
+                    break
+                self._agents[index].advance(tick, deliveries[index])
+        if failed:
+            raise self._agents[failed.index].failure(failed.error) from failed.error
+
+    def terminate(self) -> None:
+        """End all components; safe after a failure, and twice."""
+        if self._native:
+            self._native.end()
+        for agent in self._agents:
+            agent.terminate()
+
+    def _native_block(self, members: list[int]) -> NativeBlock | None:
+        if not members:
+            return None
+        from cosim.kernel import Member, NativeBlock
+
+        found = [self._agents[i] for i in members]
+        native = [Member(i, a.wiring, a.components, a.plan.coupling) for i, a in zip(members, found, strict=True)]
+        return NativeBlock(native, self._memory, self._plan.period_ns)
+
+    def _with_first_signal(self) -> Iterator[tuple[Agent, int]]:
+        return zip(self._agents, self._memory.first_signal[:-1].tolist(), strict=True)
+
+    def _published(self) -> NDArray[np.intp]:
+        """(n_agents, width) where samples lie in the signals; those of agents that nobody hears at the final zero."""
+        silent = self._memory.signals.size - 1
+        places = np.full((len(self._agents), self._plan.layout.width), silent, np.intp)
+        for row, (agent, first) in zip(places, self._with_first_signal(), strict=True):
+            if agent.wiring.published.size:
+                row[:] = agent.wiring.published + first
+        return places
+
+    def _recorded(self) -> NDArray[np.intp]:
+        """Where the recorded numbers lie in the signals."""
+        places = [agent.wiring.recorded + first for agent, first in self._with_first_signal()]
+        return np.concatenate([np.empty(0, np.intp), *places], dtype=np.intp)
