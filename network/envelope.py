@@ -49,6 +49,11 @@ class Kind(IntEnum):
     BYE = 12  # the sender leaves in good order: its absence is no loss
     PING = 13  # answered by PONG
     PONG = 14
+    CLAIM = 20  # process -> orchestrator, in runs started by hand: who it is, and which agents it wants to carry
+    OFFER = 21  # orchestrator -> process: what will be run; FAILURE instead says why the claim is refused
+    FETCH = 22  # process -> orchestrator: asks for the part of a file that the tick counts
+    CHUNK = 23  # orchestrator -> process: that part
+    PREPARED = 24  # process -> orchestrator: it has all it needs
 
 
 class WireError(RuntimeError):
@@ -181,6 +186,11 @@ class Streams:
         stream.next += 1
         self._incoming[sender] = stream
         return Envelope(sender, self.name, Kind(kind), tick, sequence, view[stream.body_at :])
+
+    def forget(self, name: str) -> None:
+        """Begin anew in both directions: another process takes the name."""
+        self._outgoing.pop(name, None)
+        self._incoming.pop(name, None)
 
     def _foreign(self, sender: str, view: memoryview, lengths: Sequence[int]) -> str:
         """What is wrong with the names."""

@@ -125,13 +125,16 @@ class Hub(Endpoint, Protocol):
             TransportTimeout: names who is missing.
         """
 
+    def forget(self, name: str) -> None:
+        """Let the name of a process that has left, or is lost, be used again; `receive` has told of it."""
+
 
 _ENDED: Final = "it ended without saying so, or the connection to it is gone"
 
 
-def name_is_used(name: str) -> str:
-    """Why a second process cannot join under a name."""
-    return f"the name {name} is taken: a process of this run has, or had, it"
+def name_is_used(name: str, where: str = "") -> str:
+    """Why a second process cannot join under a name; `where` is the first."""
+    return f"the name {name} is taken: {where or 'a process of this run'} has, or had, it"
 
 
 def nothing_arrived(name: str, timeout: float) -> str:
@@ -204,6 +207,10 @@ class InMemoryNetwork:
         endpoint = InMemoryEndpoint(self, name)
         self._admit(endpoint)
         return endpoint
+
+    def free(self, name: str) -> None:
+        """Let a name be used again."""
+        self._used.discard(name)
 
     def _admit(self, endpoint: InMemoryEndpoint) -> None:
         with self.changed:
@@ -292,3 +299,10 @@ class InMemoryHub(InMemoryEndpoint):
         while watch.missing(present := self.peers):
             with self._network.changed:
                 self._network.changed.wait_for(lambda: self.peers != present, watch.left())
+
+    def forget(self, name: str) -> None:
+        with self._network.changed:
+            self._network.free(name)
+            self._streams.forget(name)
+            self._departed.discard(name)
+            self._inbox = deque(item for item in self._inbox if item[0] != name)

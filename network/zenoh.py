@@ -54,6 +54,7 @@ STALL: Final = 60.0
 
 _WAIT: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"  # µs
 _ASK_AGAIN: Final = 0.05  # s
+_TRY: Final = 1.0  # s in one attempt to reach somebody: a request to stop is heard in between
 _INBOX: Final = 2**20  # messages; if it were full, Zenoh's receiving thread would wait, and with it every other link
 _SETTINGS: Final[Mapping[str, object]] = {
     "scouting/multicast/enabled": False,
@@ -162,7 +163,9 @@ class _Alarm:
 class ZenohEndpoint:
     """What the hub's and the others' endpoints have in common; see `network.transport.Endpoint`."""
 
-    def __init__(self, session: zenoh.Session, keys: _Keys, run: str, name: str, tamper: Tamper | None) -> None:
+    def __init__(  # noqa: PLR0917
+        self, session: zenoh.Session, keys: _Keys, run: str, name: str, token: str, tamper: Tamper | None
+    ) -> None:
         self.name = name
         self._session = session
         self._keys = keys
@@ -175,7 +178,7 @@ class ZenohEndpoint:
         self._closed = False
         self._changed = threading.Condition(threading.RLock())
         self._threads: list[threading.Thread] = []
-        self._token = uuid.uuid4().hex
+        self._token = token
         self._own_key = keys.message(name, name)
         self._subscriber = session.declare_subscriber(keys.inbox(name), zenoh.handlers.FifoChannel(_INBOX))
         self._inbox: _Samples = self._subscriber.handler
@@ -319,7 +322,7 @@ class ZenohHub(ZenohEndpoint):
         folder: Path | None,
         tamper: Tamper | None,
     ) -> None:
-        super().__init__(session, keys, run, HUB, tamper)
+        super().__init__(session, keys, run, HUB, str(session.info.zid()), tamper)
         self.endpoints = endpoints
         self._run = run
         self._folder = folder
@@ -347,6 +350,13 @@ class ZenohHub(ZenohEndpoint):
         self.leave()
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
+
+    def forget(self, name: str) -> None:
+        with self._changed:
+            self._members.pop(name, None)
+            self._streams.forget(name)
+            self._departed.discard(name)
+            self._losses = deque(loss for loss in self._losses if loss.name != name)
 
     def _liveliness_changed(self, name: str, token: str, alive: bool) -> None:
         with self._changed:
@@ -377,8 +387,9 @@ class ZenohHub(ZenohEndpoint):
         content = decode_object(Streams(self._run, HUB).decode(name, hello).expect(Kind.HELLO, 0))
         member = _Member(str(content.get("token")), str(content.get("where")))
         with self._changed:
-            if name == HUB or self._members.setdefault(name, member).token != member.token:
-                return name_is_used(name)
+            holder = self._members.setdefault(name, member)
+            if name == HUB or holder.token != member.token:
+                return name_is_used(name, "" if name == HUB else holder.where)
             self._changed.notify_all()
         return None
 
@@ -387,13 +398,13 @@ class ZenohClient(ZenohEndpoint):
     """The endpoint of a process that is not the hub: see `network.transport.Endpoint`, and `connect`."""
 
     def __init__(self, session: zenoh.Session, keys: _Keys, run: str, name: str, tamper: Tamper | None) -> None:
-        super().__init__(session, keys, run, name, tamper)
+        super().__init__(session, keys, run, name, uuid.uuid4().hex, tamper)
         self._run = run
         self._hub_is_there = False
         self._watch(HUB, self._hub_changed)
         self._appear()
 
-    def join(self, deadline: float) -> None:
+    def join(self, deadline: float, waiting: Callable[[str], None]) -> None:
         """Ask the hub, as soon as it is there.
 
         Raises:
@@ -404,16 +415,44 @@ class ZenohClient(ZenohEndpoint):
         content = {"token": self._token, "where": where}
         hello = Streams(self._run, self.name).encode(HUB, Kind.HELLO, 0, encode_object(content))
         while True:
-            with self._changed:
-                left = deadline - time.monotonic()
-                if not self._changed.wait_for(lambda: self._hub_is_there, left) or left <= 0:
-                    raise TransportTimeout(f"{self.name}: {HUB} of run {self._run} is not there, or does not answer")
+            self._await_hub(deadline, waiting)
+            left = deadline - time.monotonic()
             replies = self._session.get(self._keys.join(self.name), payload=hello, timeout=max(0.01, left))
             for reply in replies:
                 if reply.ok is not None:
                     self._welcomed(reply.ok.payload.to_bytes())
                     return
             time.sleep(_ASK_AGAIN)  # it has just gone, or may not hear us
+
+    def _await_hub(self, deadline: float, waiting: Callable[[str], None]) -> None:
+        while True:
+            with self._changed:
+                left = deadline - time.monotonic()
+                if self._changed.wait_for(lambda: self._hub_is_there, min(left, _TRY)) and left > 0:
+                    return
+            others = self._other_runs()
+            if left <= 0:
+                raise TransportTimeout(
+                    f"{self.name}: {HUB} of run {self._run} is not there, or does not answer{others}"
+                )
+            waiting(f"run {self._run} has not begun to wait for its processes{others}")
+
+    def _other_runs(self) -> str:
+        """A remark on the orchestrators that are there instead of ours.
+
+        Raises:
+            Refused: the one that we are connected to can only be that of another run.
+        """
+        routers = {str(router) for router in self._session.info.routers_zid()}
+        runs = []
+        for reply in self._session.liveliness().get(f"netcosim/**/@alive/{HUB}/*", timeout=_TRY):
+            if reply.ok is None:
+                continue
+            *root, _, _, token = str(reply.ok.key_expr).split("/")
+            runs.append(root[-1] + (f" (namespace {root[1]})" if len(root) > 2 else ""))
+            if token in routers:
+                raise Refused(f"{self.name} may not join run {self._run}: the orchestrator there plays run {runs[-1]}")
+        return f"; there is run {', '.join(runs)}" if runs else ""
 
     def _welcomed(self, answer: bytes) -> None:
         try:
@@ -498,6 +537,7 @@ def connect(
     namespace: str | None = None,
     settings: Mapping[str, object] | None = None,
     timeout: float = 10.0,
+    waiting: Callable[[str], None] = lambda _: None,
     tamper: Tamper | None = None,
 ) -> ZenohClient:
     """Join a run as `name`; the hub need not be there yet.
@@ -509,6 +549,7 @@ def connect(
         namespace: as in `open_hub`.
         settings: as in `open_hub`.
         timeout: seconds for all of it.
+        waiting: told what for, again and again.
         tamper: for tests.
 
     Raises:
@@ -518,17 +559,33 @@ def connect(
     deadline = time.monotonic() + timeout
     keys = _keys(run, namespace)
     check_name(name, "process")
-    try:
-        session = _open({**_connecting(endpoints, timeout), **(settings or {})})
-    except zenoh.ZError as error:
-        raise TransportTimeout(f"{name}: nobody answers at {', '.join(endpoints)}: {error}") from error
+    session = _reach(name, endpoints, settings or {}, deadline, waiting)
     endpoint = ZenohClient(session, keys, run, name, tamper)
     try:
-        endpoint.join(deadline)
+        endpoint.join(deadline, waiting)
     except BaseException:
         endpoint.leave()
         raise
     return endpoint
+
+
+def _reach(
+    name: str,
+    endpoints: Sequence[str],
+    settings: Mapping[str, object],
+    deadline: float,
+    waiting: Callable[[str], None],
+) -> zenoh.Session:
+    """A session that is connected; see `connect`."""
+    while True:
+        left = max(0.01, deadline - time.monotonic())
+        try:
+            return _open({**_connecting(endpoints, min(left, _TRY)), **settings})
+        except zenoh.ZError as error:
+            what = f"nobody answers at {', '.join(endpoints)}"
+            if time.monotonic() >= deadline:
+                raise TransportTimeout(f"{name}: {what}: {error}") from error
+            waiting(what)
 
 
 def _private_folder() -> Path:

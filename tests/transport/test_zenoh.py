@@ -183,12 +183,47 @@ def test_nobody_there_is_said_in_time(run: str, tmp_path: Path) -> None:
             connect(run, "worker-1", [where], timeout=0.2)
 
 
+def test_what_is_waited_for_is_told(run: str) -> None:
+    where = f"tcp/127.0.0.1:{free_port()}"
+    told: list[str] = []
+    opened: list[ZenohHub] = []
+
+    def waiting(what: str) -> None:
+        told.append(what)
+        if not opened:
+            opened.append(open_hub(run, listen=[where]))
+
+    connect(run, "worker-1", [where], timeout=PATIENCE, waiting=waiting).close()
+    opened[0].close()
+    assert told[0] == f"nobody answers at {where}"
+
+
+def test_the_orchestrator_of_another_run_is_named(unix_hub: ZenohHub, run: str) -> None:
+    with pytest.raises(Refused, match=f"^worker-1 may not join run else: the orchestrator there plays run {run}$"):
+        connect("else", "worker-1", unix_hub.endpoints, timeout=PATIENCE)
+    with pytest.raises(Refused, match=rf"plays run {run}$"):
+        connect(run, "worker-1", unix_hub.endpoints, namespace="lab", timeout=PATIENCE)
+
+
+def test_a_name_that_is_forgotten_serves_again(unix_hub: ZenohHub, run: str) -> None:
+    for _ in range(2):
+        with connect(run, "worker-1", unix_hub.endpoints) as worker:
+            unix_hub.await_peers(["worker-1"], PATIENCE)
+            unix_hub.send("worker-1", Kind.GRANT, 0)
+            worker.receive(PATIENCE).expect(Kind.GRANT, 0)
+            worker.send(HUB, Kind.DONE, 0)
+        unix_hub.receive(PATIENCE).expect(Kind.DONE, 0)
+        unix_hub.receive(PATIENCE).expect(Kind.BYE, 0)
+        unix_hub.forget("worker-1")
+
+
 # --- joining -----------------------------------------------------------------------------------------------------
 def test_a_name_serves_once(unix_hub: ZenohHub, run: str) -> None:
     with connect(run, "worker-1", unix_hub.endpoints) as first:
         with peer(run, "worker-1", unix_hub.endpoints[0], "echo") as second:
             assert second.line() == (
-                f"worker-1 may not join run {run}: the name worker-1 is taken: a process of this run has, or had, it"
+                f"worker-1 may not join run {run}: the name worker-1 is taken: "
+                f"process {os.getpid()} on {socket.gethostname()} has, or had, it"
             )
             assert second.end() == 0
         unix_hub.await_peers(["worker-1"], PATIENCE)
@@ -222,11 +257,6 @@ def test_another_version_is_refused_with_both_named(
             assert newcomer.line().endswith(
                 "message from orchestrator: it speaks version 2 of the protocol, this process version 1"
             )
-
-
-def test_another_run_is_not_joined(unix_hub: ZenohHub) -> None:
-    with pytest.raises(TransportTimeout, match="orchestrator of run other is not there, or does not answer"):
-        connect("other", "worker-1", unix_hub.endpoints, timeout=0.2)
 
 
 def test_two_runs_share_a_router_of_the_users(run: str) -> None:
