@@ -8,11 +8,13 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
 from cosim.agents import Agents
+from cosim.errors import Location, Problem, Severity
 from cosim.plan import AgentPlan, ComponentPlan, CouplingPlan, Loop, Method, Plan
 from cosim.scenario.names import in_short
 from cosim.theory import mu, published_bound
@@ -22,18 +24,39 @@ from network.units import format_duration, to_seconds
 Item = TypeVar("Item")
 
 
-def open_all(plan: Plan) -> None:
-    """Instantiate and initialise every agent, as a run does.
+def open_all(plan: Plan) -> list[Problem]:
+    """Instantiate and initialise every agent, as a run does, but those of which only the description is here.
+
+    Returns:
+        What could not be opened.
 
     Raises:
         ConfigError: a component cannot be opened.
         RunError: a component refuses a start value or its initialisation.
     """
-    agents = Agents(plan)
-    try:
-        agents.initialise()
-    finally:
-        agents.terminate()
+    missing = absent(plan)
+    here = [agent for agent in plan.agents if all(component.description.whole for component in agent.components)]
+    if here:
+        agents = Agents(plan, here)
+        try:
+            agents.initialise()
+        finally:
+            agents.terminate()
+    return [replace(problem, severity=Severity.WARNING) for problem in missing]
+
+
+def absent(plan: Plan) -> list[Problem]:
+    """Every FMU of which only the description is here."""
+    files = [
+        (component.path, agent.name)
+        for agent in plan.agents
+        for component in agent.components
+        if component.path is not None and not component.description.whole
+    ]
+    return [
+        Problem(f"holds only the description of an FMU, which agents {names} need", Location(str(path)))
+        for path, names in _grouped((name, path) for path, name in files)
+    ]
 
 
 def describe(plan: Plan) -> str:

@@ -104,9 +104,9 @@ def _check(args: argparse.Namespace) -> int:
     from cosim import check, planning
 
     planned = planning.load(args.config, args.set, seed=args.seed, until=args.until)
-    check.open_all(planned.plan)
+    absent = check.open_all(planned.plan)
     print(check.describe(planned.plan))
-    _print_problems(planned.warnings)
+    _print_problems([*planned.warnings, *absent])
     return 0
 
 
@@ -137,6 +137,14 @@ def _init(args: argparse.Namespace) -> int:
     except OSError as error:
         raise ConfigError([Problem(f"cannot be written: {error.strerror}", Location(str(target)))]) from None
     print(f"wrote {target}, a copy of {source.stem}; next: cosim check {target}")
+    return 0
+
+
+def _fmu_strip(args: argparse.Namespace) -> int:
+    from cosim.components.fmu.stripping import write_stripped
+
+    out = write_stripped(args.file, args.out)
+    print(f"wrote {out}: what {args.file.name} says of itself, and its SHA-256")
     return 0
 
 
@@ -212,6 +220,7 @@ def _parser() -> argparse.ArgumentParser:
 
     _command(commands, "schema", _schema, "print the JSON schema of a scenario, for editors")
     _add_keys(commands)
+    _add_fmu(commands)
     process = commands.add_parser("_process")  # what `cosim run --distributed` starts; not for people
     process.add_argument("name")
     process.add_argument("run")
@@ -257,6 +266,18 @@ def _add_keys(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
             "folder", nargs="?", type=Path, default=Path("keys"), metavar="FOLDER", help="default: keys"
         )
         action.set_defaults(action=command)
+
+
+def _add_fmu(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    fmu = commands.add_parser("fmu", help="work on FMU files", description="Work on FMU files.")
+    actions = fmu.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    strip = _command(
+        actions, "strip", _fmu_strip, "write what an FMU says of itself, for others to plan with while the FMU stays"
+    )
+    strip.add_argument("file", type=Path, metavar="FILE", help="the FMU")
+    strip.add_argument(
+        "-o", "--out", type=Path, metavar="OUT", help="the new file (default: <name>.description.fmu, here)"
+    )
 
 
 def _seconds(text: str) -> float:

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from cosim.components.component import Floats
-from cosim.errors import ClusterError, CosimError, RunError
+from cosim.errors import ClusterError, ConfigError, CosimError, Problem, RunError
 from cosim.inline import Interrupted, Observer, run
 from cosim.plan import Plan
 from cosim.progress import Disagreement, Progress
@@ -39,12 +39,15 @@ def main(args: argparse.Namespace) -> int:
     Raises:
         CosimError: a mistake in the scenario, or a run that failed; what was computed until then is on disk.
     """
+    from cosim import check
     from cosim.planning import load
 
     planned = load(args.config, args.set or (), seed=args.seed, until=args.until)
     for warning in planned.warnings:
         print(warning, file=sys.stderr)
     plan = planned.plan
+    if absent := check.absent(plan):
+        raise ConfigError([*absent, Problem("cosim serve runs this, with workers that have the whole files")])
     play, details = _way_to_play(args, plan)
     recorder = Recorder(plan, run_folder(plan.name, args.out), details)
     summary = _Summary(plan)

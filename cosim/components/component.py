@@ -105,6 +105,7 @@ class Description:
             parameters.
         platforms: those it has a binary for (FMUs only).
         sha256: of the FMU file, or of the source file of a Python class.
+        whole: whether it can be run; False where only the description of an FMU is here.
         n_event_indicators: Model Exchange: number of event indicators.
         variable_step: Co-Simulation: whether it accepts communication steps of different lengths.
         can_get_and_set_state: whether it can be saved and restored.
@@ -119,6 +120,7 @@ class Description:
     n_event_indicators: int = 0
     variable_step: bool = True
     can_get_and_set_state: bool = False
+    whole: bool = True
 
 
 class Component(ABC):

@@ -31,7 +31,7 @@ def describe(path: Path, structural: Mapping[str, int] | None = None) -> Descrip
             platform, or one that only works inside its own tool.
     """
     file = read(Path(path))
-    if file.library_folder is None:
+    if file.library_folder is None and file.archive.whole:
         offered = ", ".join(file.archive.platforms) or "none"
         raise refuse(
             file.archive.path,
@@ -54,6 +54,7 @@ def describe(path: Path, structural: Mapping[str, int] | None = None) -> Descrip
         n_event_indicators=file.model.numberOfEventIndicators,
         variable_step=co_simulation is None or co_simulation.canHandleVariableCommunicationStepSize,
         can_get_and_set_state=all(x.canGetAndSetFMUstate for x in implementations.values()),
+        whole=file.archive.whole,
     )
 
 
@@ -67,12 +68,14 @@ def open_fmu(name: str, path: Path, interface: Interface, description: Descripti
         description: from `describe`, with the arrays sized as they will be used.
 
     Raises:
-        ConfigError: the file cannot be used; see `describe`.
+        ConfigError: the file cannot be used, see `describe`; or it holds only the description.
         ComponentError: the file is another one than was described, its library cannot be loaded, or it refuses.
     """
     file = read(Path(path))
     if description.sha256 != file.archive.sha256:
         raise ComponentError(name, f"{path} is not the file that the scenario was checked with (its SHA-256 differs)")
+    if not file.archive.whole:
+        raise refuse(path, f"holds only the description of {file.archive.original_name}; running it takes that file")
     if interface not in file.implementations:
         raise ComponentError(name, f"{path} does not offer {interface}")
     return (Fmi2Component if file.fmi == 2 else Fmi3Component)(name, file, interface, description)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import atexit
 import hashlib
+import json
 import os
+import re
 import stat
 import tempfile
 import zipfile
@@ -16,7 +18,39 @@ from pathlib import Path, PurePosixPath
 from cosim.errors import ConfigError, Location, Problem
 from cosim.scratch import Scratch
 
+ORIGINAL = "extra/netcosim/original.json"
+"""Member of an FMU that holds only the description; says of which file (docs/hosts.md)."""
+
 _LIBRARY_SUFFIXES = {".so", ".dll", ".dylib"}
+
+
+@dataclass(frozen=True)
+class Original:
+    """An FMU of which only the description is here.
+
+    Attributes:
+        sha256: of the file.
+        name: of the file, without a folder.
+        platforms: those it has a binary for.
+    """
+
+    sha256: str
+    name: str
+    platforms: tuple[str, ...]
+
+    @classmethod
+    def parse(cls, text: bytes) -> Original:
+        """As `ORIGINAL` has it.
+
+        Raises:
+            ValueError: it says something else.
+        """
+        tree = json.loads(text)
+        if not isinstance(tree, dict) or not re.fullmatch(r"[0-9a-f]{64}", str(tree.get("sha256"))):
+            raise ValueError("it gives no SHA-256")
+        platforms = tree.get("platforms")
+        name = Path(str(tree.get("name"))).name
+        return cls(tree["sha256"], name, tuple(map(str, platforms if isinstance(platforms, list) else ())))
 
 
 @dataclass(frozen=True)
@@ -25,17 +59,31 @@ class Archive:
 
     Attributes:
         path: of the file.
-        sha256: of the file.
+        sha256: of the file; of the original, where this holds only its description.
         names: of all members; every one lies inside the folder it is unpacked to.
+        original: what a file that holds only the description says of the original.
     """
 
     path: Path
     sha256: str
     names: tuple[str, ...]
+    original: Original | None = None
+
+    @property
+    def whole(self) -> bool:
+        """Whether it can be run: it is more than a description."""
+        return self.original is None
+
+    @property
+    def original_name(self) -> str:
+        """File name of the whole FMU."""
+        return self.original.name if self.original else self.path.name
 
     @property
     def platforms(self) -> tuple[str, ...]:
         """The folders under `binaries/` that hold a library; `linux64` (FMI 2.0), `x86_64-linux` (FMI 3.0)."""
+        if self.original is not None:
+            return self.original.platforms
         parts = [PurePosixPath(name).parts for name in self.names]
         libraries = [p for p in parts if len(p) == 3 and PurePosixPath(p[2]).suffix in _LIBRARY_SUFFIXES]
         return tuple(sorted({p[1] for p in libraries if p[0] == "binaries"}))
@@ -57,17 +105,22 @@ def inspect(path: Path) -> Archive:
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
+            said = archive.read(ORIGINAL) if any(member.filename == ORIGINAL for member in members) else None
+            original = None if said is None else Original.parse(said)
     except FileNotFoundError:
         raise refuse(path, "does not exist") from None
     except OSError as error:
         raise refuse(path, f"cannot be read: {error.strerror}") from error
     except zipfile.BadZipFile as error:
         raise refuse(path, "is not an FMU: not a ZIP archive, or a truncated one") from error
+    except (ValueError, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
+        raise refuse(path, f"has a broken {ORIGINAL}: {error}") from error
     for member in members:
         reason = _escapes(member)
         if reason:
             raise refuse(path, f"is refused: its member {member.filename!r} {reason}")
-    return Archive(path, sha256, tuple(member.filename for member in members))
+    names = tuple(member.filename for member in members)
+    return Archive(path, original.sha256 if original else sha256, names, original)
 
 
 def unpack(archive: Archive, wanted: Callable[[str], bool]) -> Path:
