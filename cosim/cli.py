@@ -9,9 +9,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn, TypeVar
+from typing import TYPE_CHECKING, NoReturn, TypeVar
 
 from cosim.errors import ConfigError, CosimError, Location, Problem, Severity
+
+if TYPE_CHECKING:
+    from fractions import Fraction
 
 _Parser = TypeVar("_Parser", bound=argparse.ArgumentParser)
 EXIT_CODES = """\
@@ -185,6 +188,21 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--out", type=Path, metavar="DIR", help="where the results go (default: runs/<name>/<timestamp>)")
     run.add_argument("--quiet", action="store_true", help="print nothing but problems")
     run.add_argument("--no-report", dest="report", action="store_false", help="leave out the figures and report.html")
+    paced = run.add_argument_group("against the wall clock, with the same results")
+    paced.add_argument(
+        "--realtime",
+        type=_factor,
+        nargs="?",
+        const="1",
+        metavar="FACTOR",
+        help="simulated seconds per second of wall time (default: 1)",
+    )
+    paced.add_argument(
+        "--overrun",
+        choices=("warn", "abort", "stretch"),
+        help="when a tick is complete only after its deadline: say so and catch up, end the run, or move the schedule "
+        "(default: warn)",
+    )
     across = run.add_argument_group("across processes, with the same results")
     across.add_argument("--distributed", action="store_true", help="run emulator and agents in processes of their own")
     across.add_argument(
@@ -278,6 +296,15 @@ def _add_fmu(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     strip.add_argument(
         "-o", "--out", type=Path, metavar="OUT", help="the new file (default: <name>.description.fmu, here)"
     )
+
+
+def _factor(text: str) -> Fraction:
+    from cosim.pacing import parse_factor
+
+    try:
+        return parse_factor(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _seconds(text: str) -> float:

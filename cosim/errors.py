@@ -101,6 +101,12 @@ class ClusterError(CosimError):
     exit_code = 3
 
 
+class OverrunError(CosimError):
+    """A tick of a paced run was complete only after its deadline, and the run was asked to end then."""
+
+    exit_code = 3
+
+
 def suggest(wrong: str, known: Iterable[str]) -> str:
     """` (did you mean 'x'?)` for the nearest known name, else the list of known names if it is short, else nothing."""
     names = list(known)

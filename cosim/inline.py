@@ -8,6 +8,7 @@ from typing import Protocol
 from cosim.agents import Agents
 from cosim.components.component import Floats
 from cosim.master import Emulate, Master
+from cosim.pacing import Pacer
 from cosim.plan import Plan
 from network.emulator import Emulator
 from network.messages import Fates
@@ -34,29 +35,45 @@ class Interrupted(Exception):  # noqa: N818 - it is a request, not an error
         super().__init__(f"interrupted after tick {tick}")
 
 
-def run(plan: Plan, observers: Sequence[Observer], stop_requested: Callable[[], bool] = lambda: False) -> None:
+def run(
+    plan: Plan,
+    observers: Sequence[Observer],
+    stop_requested: Callable[[], bool] = lambda: False,
+    pacer: Pacer | None = None,
+) -> None:
     """Play a plan from tick 0 to its last tick.
 
     Args:
         plan: what to run.
         observers: told of every tick and every fate, in order.
-        stop_requested: asked once per tick.
+        stop_requested: asked once per tick, and every 20 ms while the pacer waits.
+        pacer: holds the run back to the pace of the wall; without one, it runs as fast as it can.
 
     Raises:
         RunError: a component failed.
         Interrupted: `stop_requested` said so.
+        OverrunError: the pacer said so.
     """
     agents = Agents(plan)
     try:
-        _play(plan, agents, observers, stop_requested)
+        _play(plan, agents, observers, stop_requested, pacer)
     finally:
         agents.terminate()
 
 
-def _play(plan: Plan, agents: Agents, observers: Sequence[Observer], stop_requested: Callable[[], bool]) -> None:
+def _play(
+    plan: Plan,
+    agents: Agents,
+    observers: Sequence[Observer],
+    stop_requested: Callable[[], bool],
+    pacer: Pacer | None,
+) -> None:
     emulator = Emulator(plan.links, plan.channels, plan.link_channel, plan.layout, plan.seed, plan.period_ns)
     master = Master([len(plan.agents)], plan.layout.width, plan.ticks)
     agents.initialise()
+    if pacer is not None:
+        observers = [*observers, pacer]
+        pacer.start()
     while True:
         tick = master.tick
         instruction = master.published(0, tick, agents.samples())
@@ -65,7 +82,7 @@ def _play(plan: Plan, agents: Agents, observers: Sequence[Observer], stop_reques
             observer.tick(tick, row)
         if not isinstance(instruction, Emulate):
             break
-        if stop_requested():
+        if stop_requested() or (pacer is not None and not pacer.wait(tick + 1, stop_requested)):
             raise Interrupted(tick)
         exchange = emulator.emulate(instruction.tick, instruction.values)
         for observer in observers:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.components.component import Floats
+from cosim.pacing import Pacer
 from cosim.plan import Plan
 from network.messages import Fates
 
@@ -40,11 +41,22 @@ class Disagreement:
         return float(np.max(np.abs(positions - positions[0])))
 
 
+def say(text: str) -> None:
+    """A line on standard error, above a bar if there is one."""
+    if "tqdm" in sys.modules:
+        from tqdm import tqdm
+
+        tqdm.write(text, file=sys.stderr)
+    else:
+        print(text, file=sys.stderr)
+
+
 class Progress:
     """An observer that draws a bar on standard error; in a log file, a line after 1, 2, 4, 8, … seconds."""
 
-    def __init__(self, plan: Plan, *, quiet: bool) -> None:
+    def __init__(self, plan: Plan, *, quiet: bool, pacer: Pacer | None = None) -> None:
         self._plan = plan
+        self._pacer = pacer
         self._quiet = quiet
         self._disagreement = Disagreement(plan)
         self._on_terminal = sys.stderr.isatty()
@@ -58,7 +70,11 @@ class Progress:
             return
         self._due = now + (REFRESH_SECONDS if self._on_terminal else now - self._started)
         simulated = tick * self._plan.period
-        text = f"{simulated:.1f} s simulated, {simulated / (now - self._started):.3g} x real time"
+        text = f"{simulated:.1f} s simulated, "
+        if self._pacer is None:
+            text += f"{simulated / (now - self._started):.3g} x real time"
+        else:
+            text += f"real-time factor {self._pacer.reached:.4g}, {self._pacer.missed} ticks missed"
         disagreement = self._disagreement.of(row)
         if disagreement is not None:
             text += f", disagreement {disagreement:.3g}"

@@ -6,8 +6,8 @@ import argparse
 import itertools
 import sys
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,10 +15,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from cosim.components.component import Floats
-from cosim.errors import ClusterError, ConfigError, CosimError, Problem, RunError
+from cosim.errors import ClusterError, ConfigError, CosimError, OverrunError, Problem, RunError
 from cosim.inline import Interrupted, Observer, run
+from cosim.pacing import Overrun, Pacer, precise_timers
 from cosim.plan import Plan
-from cosim.progress import Disagreement, Progress
+from cosim.progress import Disagreement, Progress, say
 from cosim.recording.recorder import Recorder
 from cosim.stopping import StopRequest
 from network.messages import Fates
@@ -48,14 +49,16 @@ def main(args: argparse.Namespace) -> int:
     plan = planned.plan
     if absent := check.absent(plan):
         raise ConfigError([*absent, Problem("cosim serve runs this, with workers that have the whole files")])
-    play, details = _way_to_play(args, plan)
+    pacer = _pacer(args, plan)
+    play, details = _way_to_play(args, plan, pacer)
     recorder = Recorder(plan, run_folder(plan.name, args.out), details)
-    summary = _Summary(plan)
+    summary = _Summary(plan, pacer)
     stop = StopRequest()
-    with stop.listening(), Progress(plan, quiet=args.quiet) as progress:
+    with stop.listening(), Progress(plan, quiet=args.quiet, pacer=pacer) as progress:
         recorder.open()
         try:
-            play([recorder, summary, progress], stop)
+            with _accounted(pacer, recorder):
+                play([recorder, summary, progress], stop)
         except Interrupted as interrupted:
             reached = f"t = {interrupted.tick * plan.period:.9g} s"
             recorder.close(f"aborted: interrupted at {reached}")
@@ -75,16 +78,37 @@ class _Play(Protocol):
         """Play the plan to its end."""
 
 
-def _way_to_play(args: argparse.Namespace, plan: Plan) -> tuple[_Play, dict[str, Any]]:
+def _pacer(args: argparse.Namespace, plan: Plan) -> Pacer | None:
+    """What holds the run back, if it is to be held back."""
+    if args.realtime is None:
+        if args.overrun is not None:
+            raise CosimError(f"--overrun {args.overrun} is for runs that are paced; add --realtime")
+        return None
+    precise_timers()
+    return Pacer(plan, args.realtime, Overrun(args.overrun or Overrun.WARN), say=say)
+
+
+@contextmanager
+def _accounted(pacer: Pacer | None, recorder: Recorder) -> Iterator[None]:
+    """However the run inside ends, the manifest says how its schedule was kept."""
+    try:
+        yield
+    finally:
+        if pacer is not None:
+            recorder.add({"realtime": pacer.report()})
+            pacer.say_total()
+
+
+def _way_to_play(args: argparse.Namespace, plan: Plan, pacer: Pacer | None) -> tuple[_Play, dict[str, Any]]:
     """In this process, or across several; and what the manifest says of it."""
     if not args.distributed:
         if args.workers is not None:
             raise CosimError("--workers is for runs across processes; add --distributed")
-        return partial(run, plan), {}
+        return partial(run, plan, pacer=pacer), {}
     from cosim.distributed import cluster
 
     workers = cluster.division(plan, args.workers)
-    play = partial(cluster.run, plan, workers, step_deadline=args.step_deadline)
+    play = partial(cluster.run, plan, workers, step_deadline=args.step_deadline, pacer=pacer)
     return play, {"distributed": {"workers": len(workers)}}
 
 
@@ -93,15 +117,16 @@ def _close_after(error: BaseException, recorder: Recorder) -> None:
     reason = str(error) if isinstance(error, CosimError) else f"{type(error).__name__}: {error}"
     with suppress(CosimError):  # the first failure is the one to tell
         recorder.close(f"aborted: {reason.splitlines()[0]}")
-    if isinstance(error, (RunError, ClusterError)):
+    if isinstance(error, (RunError, ClusterError, OverrunError)):
         print(f"everything until then is in {recorder.folder}", file=sys.stderr)
 
 
 class _Summary:
     """An observer that keeps the last row, for the lines at the end."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: Plan, pacer: Pacer | None) -> None:
         self._plan = plan
+        self._pacer = pacer
         self._started = time.perf_counter()
         self._row: Floats = np.empty(0)
 
@@ -119,6 +144,8 @@ class _Summary:
         disagreement = Disagreement(self._plan).of(self._row)
         if disagreement is not None:
             print(f"  disagreement at the end  {disagreement:.3g} (largest |p_1 - p_i|)")
+        if self._pacer is not None:
+            print(self._pacer)
         print(f"  digest                   {digest}")
         print(f"  run folder               {folder}")
 

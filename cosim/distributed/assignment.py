@@ -111,21 +111,25 @@ class Job:
         scenario: resolved, as YAML text.
         sha256: of every component's file, agent by agent.
         workers: the agents of every worker.
+        paced: whether rows and fates are sent at every tick, because the run is paced against the wall.
     """
 
     scenario: str
     sha256: tuple[str, ...]
     workers: Mapping[str, Share]
+    paced: bool = False
 
     @classmethod
-    def of(cls, plan: Plan, workers: Mapping[str, Share]) -> Job:
+    def of(cls, plan: Plan, workers: Mapping[str, Share], *, paced: bool = False) -> Job:
         """The job of carrying out a plan."""
-        return cls(plan.scenario, _hashes(plan), workers)
+        return cls(plan.scenario, _hashes(plan), workers, paced)
 
     def encode(self) -> list[Part]:
         """As the body of a message."""
         workers = {name: list(share) for name, share in self.workers.items()}
-        return encode_object({"scenario": self.scenario, "sha256": list(self.sha256), "workers": workers})
+        return encode_object(
+            {"scenario": self.scenario, "sha256": list(self.sha256), "workers": workers, "paced": self.paced}
+        )
 
     @classmethod
     def decode(cls, envelope: Envelope) -> Job:
@@ -137,7 +141,7 @@ class Job:
         tree: dict[str, Any] = decode_object(envelope.expect(Kind.SCENARIO))
         try:
             workers = {str(name): share_of(map(int, agents)) for name, agents in tree["workers"].items()}
-            return cls(str(tree["scenario"]), tuple(map(str, tree["sha256"])), workers)
+            return cls(str(tree["scenario"]), tuple(map(str, tree["sha256"])), workers, tree["paced"] is True)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise WireError(envelope.sender, f"the message holds no job: {error!r}") from error
 

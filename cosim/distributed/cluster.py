@@ -15,6 +15,7 @@ from cosim.distributed.processes import Processes
 from cosim.distributed.supervision import Supervisor
 from cosim.errors import ClusterError, CosimError
 from cosim.inline import Observer
+from cosim.pacing import Pacer
 from cosim.plan import Plan, Workers
 from cosim.scratch import Scratch
 from network.transport import Hub, TransportError
@@ -52,12 +53,13 @@ def _parsed(wanted: str) -> Workers:
     return int(wanted)
 
 
-def run(
+def run(  # noqa: PLR0917
     plan: Plan,
     workers: int | Mapping[str, Share],
     observers: Sequence[Observer],
     stop_requested: Callable[[], bool] = lambda: False,
     step_deadline: float = STEP_DEADLINE,
+    pacer: Pacer | None = None,
 ) -> None:
     """Play a plan in processes of their own: an emulator and workers.
 
@@ -67,18 +69,21 @@ def run(
         observers: told of every tick and every fate, in order, as by `cosim.inline.run`.
         stop_requested: asked a few times a second.
         step_deadline: seconds in which some process must get further.
+        pacer: holds the run back to the pace of the wall; without one, it runs as fast as it can.
 
     Raises:
         RunError: a component failed.
         ClusterError: a process was lost, or hangs.
         Interrupted: `stop_requested` said so.
+        OverrunError: the pacer said so.
     """
     if isinstance(workers, int):
         workers = divide(len(plan.agents), workers)
     with Scratch() as scratch, _hub(scratch) as (run_id, hub), Processes((EMULATOR, *workers)) as processes:
         processes.start(run_id, hub.endpoints[0], scratch)
-        orchestration = Orchestration(plan, workers, observers)
-        supervisor = Supervisor(plan, workers, hub, processes, orchestration, stop_requested, step_deadline)
+        seers = observers if pacer is None else [*observers, pacer]
+        orchestration = Orchestration(plan, workers, seers, paced=pacer is not None)
+        supervisor = Supervisor(plan, workers, hub, processes, orchestration, stop_requested, step_deadline, pacer)
         supervisor.run()
 
 

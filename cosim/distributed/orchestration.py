@@ -48,9 +48,12 @@ class Orchestration:
         plan: what runs.
         workers: the agents of every worker.
         observers: told of every tick and every fate, in order.
+        paced: whether ticks wait for `release`.
     """
 
-    def __init__(self, plan: Plan, workers: Mapping[str, Share], observers: Sequence[Observer]) -> None:
+    def __init__(
+        self, plan: Plan, workers: Mapping[str, Share], observers: Sequence[Observer], *, paced: bool = False
+    ) -> None:
         self._plan = plan
         self._workers = dict(workers)
         self._wire = blocks(plan, workers)
@@ -67,7 +70,10 @@ class Orchestration:
         self._fates: deque[Fates] = deque()
         self._fates_in = 0
         self._exchanged = 0
-        self._granted = 0
+        self._paced = paced
+        self._granted = -1  # before the first grant
+        self.released = -1 if paced else plan.ticks
+        """The last tick to which everybody may go."""
         self._rows_done = False  # of the master's tick
         self._failures: dict[str, Failure] = {}
         self._over = False
@@ -103,7 +109,7 @@ class Orchestration:
 
     def begin(self) -> list[Message]:
         """The job for everybody; all must have joined."""
-        job = Job.of(self._plan, self._workers).encode()
+        job = Job.of(self._plan, self._workers, paced=self._paced).encode()
         return [Message(name, Kind.SCENARIO, 0, job) for name in self.processes]
 
     def end(self) -> list[Message]:
@@ -135,9 +141,14 @@ class Orchestration:
                 raise WireError(envelope.sender, f"a {envelope.kind.name} is nothing for the orchestrator")
         if self._unready:
             return []
-        if self._granted:
+        if self._granted >= 0:
             self._record()
         self._raise_failure()
+        return self._grant()
+
+    def release(self, tick: int) -> list[Message]:
+        """The wall clock has come to a tick of a paced run; everybody must be ready."""
+        self.released = max(self.released, min(tick, self._plan.ticks))
         return self._grant()
 
     # --- what comes in ----------------------------------------------------------------------------------------------
@@ -214,11 +225,14 @@ class Orchestration:
 
     def _grant(self) -> list[Message]:
         """Let the emulator go on, and everybody begin."""
-        tick = min(self.recorded + 1 + window_ticks(self._plan), self._plan.ticks)
-        if not self._granted:
+        tick = min(self.recorded + 1 + window_ticks(self._plan), self.released)
+        if tick < 0:
+            return []
+        if self._granted < 0:
             self._granted = tick
             return [Message(name, Kind.GRANT, tick) for name in (*self._workers, EMULATOR)]
-        if tick - self._granted >= batch_ticks(self._plan) or (tick == self._plan.ticks > self._granted):
+        enough = 1 if self._paced else batch_ticks(self._plan)
+        if tick - self._granted >= enough or (tick == self._plan.ticks > self._granted):
             self._granted = tick
             return [Message(EMULATOR, Kind.GRANT, tick)]
         return []

@@ -78,15 +78,18 @@ def serve(endpoint: Endpoint) -> None:
         PeerLost: the orchestrator is gone.
     """
     served: Machine | None = None
+    hold_back = FLUSH_SECONDS
     try:
         while served is None:
             envelope = _next(endpoint, _IDLE_SECONDS)
             if envelope is not None and envelope.kind is Kind.BYE:
                 return
             if envelope is not None:
-                served = machine(endpoint.name, Job.decode(envelope))
+                job = Job.decode(envelope)
+                served = machine(endpoint.name, job)
+                hold_back = 0.0 if job.paced else FLUSH_SECONDS
         send(endpoint, served.prepare())
-        _carry_out(endpoint, served)
+        _carry_out(endpoint, served, hold_back)
     except PeerLost:
         raise
     except Exception as error:
@@ -100,14 +103,15 @@ def serve(endpoint: Endpoint) -> None:
             served.close()
 
 
-def _carry_out(endpoint: Endpoint, served: Machine) -> None:
+def _carry_out(endpoint: Endpoint, served: Machine, hold_back: float) -> None:
+    """Handle messages until the end; rows and fates go out after at most `hold_back` seconds."""
     flushed = time.monotonic()
     while not served.finished:
-        envelope = _next(endpoint, FLUSH_SECONDS if served.holds_back else _IDLE_SECONDS)
+        envelope = _next(endpoint, hold_back if served.holds_back else _IDLE_SECONDS)
         if envelope is not None:
             send(endpoint, served.handle(envelope))
         now = time.monotonic()
-        if envelope is None or now - flushed > FLUSH_SECONDS:
+        if envelope is None or now - flushed >= hold_back:
             send(endpoint, served.flush())
             flushed = now
 

@@ -12,6 +12,7 @@ from cosim.distributed.processes import Processes
 from cosim.distributed.serving import FLUSH_SECONDS, send
 from cosim.errors import ClusterError, CosimError
 from cosim.inline import Interrupted
+from cosim.pacing import Pacer
 from cosim.plan import Plan
 from network.transport import Hub, Kind, PeerLost, TransportTimeout, WireError
 from network.units import to_seconds
@@ -35,6 +36,7 @@ class Supervisor:
         orchestration: what to do with their messages.
         stop_requested: asked a few times a second.
         step_deadline: seconds in which some process must get further.
+        pacer: says when ticks are released, if the run is paced.
     """
 
     def __init__(  # noqa: PLR0917
@@ -46,6 +48,7 @@ class Supervisor:
         orchestration: Orchestration,
         stop_requested: Callable[[], bool],
         step_deadline: float,
+        pacer: Pacer | None = None,
     ) -> None:
         self._plan = plan
         self._workers = workers
@@ -54,6 +57,7 @@ class Supervisor:
         self._orchestration = orchestration
         self._stop_requested = stop_requested
         self._step_deadline = step_deadline
+        self._pacer = pacer
         self._start_deadline = _START_SECONDS + _START_SECONDS_PER_AGENT * len(plan.agents)
 
     def run(self) -> None:
@@ -89,17 +93,38 @@ class Supervisor:
         progress, since = orchestration.progress, time.monotonic()
         watched = since
         while not orchestration.finished:
+            patience = self._release()
             with suppress(TransportTimeout):
-                send(self._hub, orchestration.handle(self._hub.receive(_WATCH_SECONDS)))
+                send(self._hub, orchestration.handle(self._hub.receive(patience)))
             now = time.monotonic()
             if now - watched < _WATCH_SECONDS:
                 continue
             watched = now
             self._watch()
-            if progress != orchestration.progress:
+            if progress != orchestration.progress or self._waits_for_the_clock:
                 progress, since = orchestration.progress, now
             elif now - since > self._deadline:
                 raise self._hang()
+
+    def _release(self) -> float:
+        """Release the ticks whose time has come; how long to listen, in seconds, until something is to be done."""
+        orchestration, pacer = self._orchestration, self._pacer
+        if pacer is None or orchestration.unready:
+            return _WATCH_SECONDS
+        if orchestration.released < 0:
+            pacer.start()
+        due = min(pacer.released(), self._plan.ticks)
+        if due > orchestration.released:
+            waited = self._waits_for_the_clock
+            send(self._hub, orchestration.release(due))
+            if waited:
+                pacer.begun(due)
+        return min(_WATCH_SECONDS, pacer.remaining(due + 1))
+
+    @property
+    def _waits_for_the_clock(self) -> bool:
+        """Whether all is done that is released."""
+        return self._orchestration.released == self._orchestration.recorded < self._plan.ticks
 
     @property
     def _deadline(self) -> float:

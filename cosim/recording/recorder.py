@@ -135,6 +135,10 @@ class Recorder:
             where = Path(error.filename or self.folder)
             raise folder_problem(where, f"cannot write the run folder: {error.strerror or error}") from None
 
+    def add(self, details: Mapping[str, Any]) -> None:
+        """Further entries for the manifest, which are known only at the end; `close` writes them."""
+        self._manifest |= details
+
     def tick(self, tick: int, row: Floats) -> None:
         """Record a tick.
 

@@ -23,6 +23,7 @@ class Loopback:
         observers: of the run.
         order: decides whose turn it is; some processes may be slower than others.
         tamper: sees every frame.
+        paced: whether ticks are released one by one, whenever the orchestrator finds nothing else to do.
     """
 
     def __init__(
@@ -32,6 +33,8 @@ class Loopback:
         observers: Sequence[Observer],
         order: random.Random,
         tamper: Tamper | None = None,
+        *,
+        paced: bool = False,
     ) -> None:
         if isinstance(workers, int):
             workers = divide(len(plan.agents), workers)
@@ -40,8 +43,9 @@ class Loopback:
         self._endpoints: dict[str, Endpoint] = {name: self._network.connect(name) for name in (EMULATOR, *workers)}
         self._machines: dict[str, Machine] = {}
         self._order = order
+        self._ticks = plan.ticks
         self._weights = [order.choice([1, 1, 5, 20]) for _ in (*self._endpoints, "orchestrator")]
-        self.orchestration = Orchestration(plan, workers, observers)
+        self.orchestration = Orchestration(plan, workers, observers, paced=paced)
 
     def run(self) -> None:
         with ExitStack() as stack:
@@ -60,7 +64,10 @@ class Loopback:
             with suppress(TransportTimeout):
                 send(self._hub, self.orchestration.handle(self._hub.receive(0)))
                 return True
-            return False
+            if self.orchestration.unready or self.orchestration.released == self._ticks:
+                return False
+            send(self._hub, self.orchestration.release(self.orchestration.released + 1))
+            return True
         endpoint = self._endpoints[name]
         try:
             envelope = endpoint.receive(0)

@@ -6,6 +6,7 @@ import math
 import os
 import signal
 from collections.abc import Mapping
+from time import sleep
 from typing import Any
 
 from cosim.components.python import Input, Output, Parameter, PythonComponent, State, Structural
@@ -40,6 +41,17 @@ class Failing(Node):
 
     def fault(self, time: float) -> None:
         raise ValueError("the gearbox is broken")
+
+
+class Slow(Node):
+    """Takes half a second of wall time, once."""
+
+    slept = False
+
+    def fault(self, time: float) -> None:
+        if not self.slept:
+            self.slept = True
+            sleep(0.5)
 
 
 class Hanging(Node):
