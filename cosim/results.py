@@ -16,8 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.errors import suggest
+from cosim.recording import recovery
 from cosim.recording.columns import scalar_names
-from cosim.recording.manifest import DELIVERIES, FORMAT, MANIFEST, SCENARIO, TRAJECTORIES, folder_problem
+from cosim.recording.lock import LOCK
+from cosim.recording.manifest import DELIVERIES, FORMAT, MANIFEST, SCENARIO, TRAJECTORIES, Status, folder_problem
 from cosim.recording.table import indices, numbers
 from network.messages import Fate, Fates, Floats, Links
 from network.units import to_seconds
@@ -209,10 +211,10 @@ class Results:
 
 
 def load(folder: str | Path) -> Results:
-    """Open a run folder.
+    """Open a run folder. If the process that recorded it was killed, what it had recorded is recovered first.
 
     Raises:
-        ConfigError: it is none, or of another version of the format.
+        ConfigError: it is none, or of another version of the format; or the run goes on, or cannot be recovered.
     """
     folder = Path(folder)
     path = folder / MANIFEST
@@ -231,10 +233,10 @@ def load(folder: str | Path) -> Results:
         raise folder_problem(
             path, f"format {found!r} is not the one that this version reads ({FORMAT}); run the scenario again"
         )
-    if manifest["status"] == "running":
-        raise folder_problem(
-            folder, "the run is still going on, or its process was killed; there is nothing to read yet"
-        )
+    if manifest["status"] == Status.RUNNING:
+        manifest = recovery.recover(folder)
+    elif (folder / LOCK).exists():
+        recovery.tidy(folder)
     return Results(folder, manifest)
 
 

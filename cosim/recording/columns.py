@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,11 @@ def scalar_names(variable: str, shape: tuple[int, ...]) -> list[str]:
         return [variable]
     indices = itertools.product(*(range(1, length + 1) for length in shape))
     return [f"{variable}[{','.join(map(str, index))}]" for index in indices]
+
+
+def arriving_names(agent: AgentPlan) -> tuple[str, ...]:
+    """The scalars of one row of an agent, as they arrive."""
+    return tuple(name for variable, port in agent.record for name in scalar_names(variable, port.variable.shape))
 
 
 @dataclass(frozen=True)
@@ -47,16 +53,17 @@ class Columns:
         return sum(map(len, self.of_agent))
 
     @classmethod
-    def of(cls, agents: tuple[AgentPlan, ...]) -> Columns:
+    def of(cls, agents: Sequence[AgentPlan]) -> Columns:
         """The union of what the agents record."""
-        arriving = [
-            [name for variable, port in agent.record for name in scalar_names(variable, port.variable.shape)]
-            for agent in agents
-        ]
+        return cls.of_names([arriving_names(agent) for agent in agents])
+
+    @classmethod
+    def of_names(cls, arriving: Sequence[Sequence[str]]) -> Columns:
+        """The same, from the names of the scalars that arrive of each agent."""
         names = tuple(dict.fromkeys(itertools.chain.from_iterable(arriving)))
         rank = {name: i for i, name in enumerate(names)}
         source: list[int] = []
-        positions = np.full((len(names), len(agents)), -1, dtype=np.int64)
+        positions = np.full((len(names), len(arriving)), -1, dtype=np.int64)
         of_agent = []
         offset = 0
         for a, recorded in enumerate(arriving):

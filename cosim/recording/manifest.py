@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import datetime
 import hashlib
 import json
 import os
@@ -10,12 +11,14 @@ import platform
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 from cosim.errors import ConfigError, Location, Problem
 from cosim.plan import AgentPlan, AnalysisPlan, Plan
 from cosim.recording.columns import Columns
+from network.units import to_seconds
 
 FORMAT = 1
 
@@ -24,7 +27,64 @@ SCENARIO = "scenario.yaml"
 TRAJECTORIES = "trajectories.parquet"
 DELIVERIES = "deliveries.parquet"
 
+RESERVE = ".reserve"
+SPOOL = ".spool"
+GROUPS = ".groups"
+HIDDEN = (SPOOL, GROUPS, RESERVE, f".{MANIFEST}.new")
+"""What lies in a run folder while the run goes on, beside the lock."""
+
 _PACKAGES = ("netcosim", "numpy", "FMPy", "pyarrow", "eclipse-zenoh")
+
+
+class Status(StrEnum):
+    """What `status` in the manifest says; the reason follows `aborted`, as in `aborted: interrupted at t = 3 s`."""
+
+    RUNNING = "running"
+    COMPLETE = "complete"
+    ABORTED = "aborted"
+
+
+def begin(plan: Plan, columns: Columns, details: Mapping[str, Any]) -> dict[str, Any]:
+    """The manifest of a run before its first tick."""
+    created = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+    empty = dict.fromkeys(("status", "digest", "ticks", "simulated_s", "wall_s", "speed"))
+    manifest = {
+        "name": plan.name,
+        "title": plan.title,
+        "seed": plan.seed,
+        **empty,
+        "created": created,
+        "command": command_line(),
+        **describe(plan, columns),
+        **details,
+        "ticks": {"planned": plan.ticks},
+    }
+    return with_outcome(manifest, Status.RUNNING, 0)
+
+
+def with_outcome(
+    manifest: Mapping[str, Any], status: str, n_ticks: int, wall: float | None = None, digest: str | None = None
+) -> dict[str, Any]:
+    """What became of a run.
+
+    Args:
+        manifest: as it was.
+        status: see `Status`.
+        n_ticks: that are recorded, tick 0 among them.
+        wall: seconds that it took, if that is known.
+        digest: of what is recorded.
+    """
+    done = max(0, n_ticks - 1)
+    simulated = to_seconds(done * manifest["period_ns"])
+    return {
+        **manifest,
+        "status": status,
+        "digest": digest,
+        "ticks": {"planned": manifest["ticks"]["planned"], "done": done},
+        "simulated_s": simulated,
+        "wall_s": None if wall is None else round(wall, 6),
+        "speed": round(simulated / wall, 3) if wall else None,
+    }
 
 
 def describe(plan: Plan, columns: Columns) -> dict[str, Any]:

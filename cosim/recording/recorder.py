@@ -10,10 +10,8 @@ other failure, and what was recorded stays readable.
 from __future__ import annotations
 
 import contextlib
-import datetime
 import time
 from collections.abc import Mapping
-from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -21,24 +19,25 @@ import numpy as np
 
 from cosim.errors import CosimError
 from cosim.plan import Plan
-from cosim.recording.columns import Columns
-from cosim.recording.digest import RunDigest
+from cosim.recording import manifest
+from cosim.recording.lock import RUN, FolderLock, Held
 from cosim.recording.manifest import (
     DELIVERIES,
+    HIDDEN,
     MANIFEST,
+    RESERVE,
     SCENARIO,
     TRAJECTORIES,
-    command_line,
-    describe,
+    Status,
     folder_problem,
-    to_json,
     write_atomically,
 )
-from cosim.recording.table import TableFile, allocate, float_array, int_array, name_array
-from network.messages import NEVER, Fate, Fates, Floats, Ints
-from network.units import NANOSECONDS_PER_SECOND, to_seconds
-
-RESERVE = ".reserve"
+from cosim.recording.recovery import occupied
+from cosim.recording.spool import Spool, stacked, table
+from cosim.recording.table import FULL, allocate
+from cosim.recording.tables import Layout, RunTables
+from network.messages import Fates, Floats, Ints
+from network.units import to_seconds
 
 BLOCK_BYTES = 16 << 20
 """Recorded numbers kept in memory, and about the size of a row group."""
@@ -47,24 +46,6 @@ FATES_AT_ONCE = 1 << 18
 """Fates kept in memory, likewise."""
 
 _RESERVE_BYTES = 1 << 18
-_FATE_NAMES = [fate.name.lower() for fate in Fate]
-_DELIVERY_COLUMNS = (
-    ("sender", "string"),
-    ("receiver", "string"),
-    ("stamp", "int64"),
-    ("sent", "int64"),
-    ("arrival", "float64"),
-    ("arrival_ns", "int64"),
-    ("fate", "string"),
-)
-
-
-class Status(StrEnum):
-    """What `status` in the manifest says; the reason follows `aborted`, as in `aborted: interrupted at t = 3 s`."""
-
-    RUNNING = "running"
-    COMPLETE = "complete"
-    ABORTED = "aborted"
 
 
 class RecordingError(CosimError):
@@ -93,20 +74,19 @@ class Recorder:
     ) -> None:
         self.folder = folder
         self._plan = plan
-        self._columns = Columns.of(plan.agents)
-        names = [agent.name for agent in plan.agents]
-        self._digest = RunDigest(plan.period_ns, zip(names, self._columns.of_agent, strict=True))
+        self._layout = Layout.of(plan)
+        self._digest = self._layout.digest()
         self._details = dict(details or {})
         self._manifest: dict[str, Any] = {}
         self._started = 0.0
 
-        ticks_at_once = max(1, block_bytes // (8 * max(1, self._columns.width)))
-        arriving = sum(port.variable.size for agent in plan.agents for _, port in agent.record)
-        self._block = np.empty((min(ticks_at_once, plan.ticks + 1), arriving))
+        ticks_at_once = max(1, block_bytes // (8 * max(1, self._layout.width)))
+        self._block = np.empty((min(ticks_at_once, plan.ticks + 1), self._layout.width))
         self._kept = 0  # rows of the block in use
-        self._written = 0  # ticks in the file
-        self._fates: list[Fates] = []
+        self._fates: list[Ints] = []
         self._n_fates = 0
+        self._failure: RecordingError | None = None
+        self._full: OSError | None = None  # for which the spool was given up
 
     def open(self) -> None:
         """Create the folder with a manifest of status `running`, and the scenario.
@@ -115,22 +95,16 @@ class Recorder:
             ConfigError: the folder is not empty, or cannot be written.
         """
         self._started = time.perf_counter()
-        created = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
-        self._manifest = {
-            "created": created,
-            "command": command_line(),
-            **describe(self._plan, self._columns),
-            **self._details,
-        }
+        self._manifest = manifest.begin(self._plan, self._layout.columns, self._details)
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             if any(self.folder.iterdir()):
-                raise folder_problem(
-                    self.folder, "the folder is not empty; remove it, or choose another one with --out"
-                )
+                raise folder_problem(self.folder, occupied(self.folder))
             with contextlib.ExitStack() as undo:
                 self._create_files(undo)
                 undo.pop_all()
+        except Held:
+            raise folder_problem(self.folder, occupied(self.folder)) from None
         except OSError as error:
             where = Path(error.filename or self.folder)
             raise folder_problem(where, f"cannot write the run folder: {error.strerror or error}") from None
@@ -149,24 +123,39 @@ class Recorder:
         Raises:
             RecordingError: the disk is full.
         """
-        if tick != self._written + self._kept:
-            raise ValueError(f"tick {tick} was recorded after tick {self._written + self._kept - 1}")
-        self._block[self._kept] = row
+        if self._failure is not None:
+            raise self._failure
+        if tick != self._tables.ticks + self._kept:
+            raise ValueError(f"tick {tick} was recorded after tick {self._tables.ticks + self._kept - 1}")
+        kept = self._block[self._kept]
+        kept[:] = row
         self._kept += 1
+        try:
+            self._spool.record(self._spool.framed_row(kept))
+        except OSError as error:
+            self._after(error)
         if self._kept == len(self._block):
-            self._write_rows()
+            self._flush()
 
     def fates(self, fates: Fates) -> None:
-        """Record fates, in their order. The arrays are kept, not copied.
+        """Record fates, in their order.
 
         Raises:
             RecordingError: the disk is full.
         """
-        if len(fates):
-            self._fates.append(fates)
-            self._n_fates += len(fates)
-            if self._n_fates >= FATES_AT_ONCE:
-                self._write_fates()
+        if self._failure is not None:
+            raise self._failure
+        if not len(fates):
+            return
+        record = self._spool.framed(fates)
+        self._fates.append(table(record))
+        self._n_fates += len(fates)
+        try:
+            self._spool.record(record)
+        except OSError as error:
+            self._after(error)
+        if self._n_fates >= FATES_AT_ONCE:
+            self._flush()
 
     def close(self, status: str) -> str:
         """Write what is left, end both files and bring the manifest up to date.
@@ -183,7 +172,7 @@ class Recorder:
         """
         wall = time.perf_counter() - self._started
         failures: list[CosimError] = []
-        for step in (self._write_rows, self._write_fates, self._close_files):
+        for step in (self._write, self._close_files):
             try:
                 step()
             except RecordingError as error:
@@ -191,132 +180,102 @@ class Recorder:
         if failures and status == Status.COMPLETE:
             status = f"{Status.ABORTED}: {failures[0]}"
         digest = self._digest.hexdigest()
-        with contextlib.suppress(FileNotFoundError):
-            (self.folder / RESERVE).unlink()
+        (self.folder / RESERVE).unlink(missing_ok=True)
         try:
             self._write_manifest(status, wall, digest)
         except OSError as error:
             failures.append(RecordingError(f"cannot write {self.folder / MANIFEST}: {error.strerror}"))
+        else:
+            self._spool.remove()
+        self._spool.close()
+        self._lock.release()
         if failures:
             raise failures[0]
         return digest
 
-    # --- rows -------------------------------------------------------------------------------------------------------
-    def _write_rows(self) -> None:
-        """Move the block to the file."""
-        values, self._kept = self._block[: self._kept], 0
-        if not len(values) or self._trajectories.failure:
-            return
-        if self._columns.source is not None:
-            values = values[:, self._columns.source]
-        n_agents = len(self._plan.agents)
-        written = self._trajectories.append(self._row_arrays(values), n_agents) // n_agents
-        self._digest.rows(values[:written])
-        self._written += written
-        self._check(self._trajectories)
+    # --- to the tables ----------------------------------------------------------------------------------------------
+    def _flush(self) -> None:
+        """Move all that is kept to the tables, and go on if there is room for what comes.
 
-    def _row_arrays(self, values: Floats) -> list[Any]:
-        """The columns of the trajectories for ticks of values (n_ticks, width)."""
-        n_ticks, n_agents = len(values), len(self._plan.agents)
-        ticks = np.repeat(np.arange(self._written, self._written + n_ticks), n_agents)
-        arrays = [
-            int_array(ticks),
-            float_array(ticks * self._plan.period_ns / NANOSECONDS_PER_SECOND),
-            name_array(np.tile(np.arange(n_agents), n_ticks), [agent.name for agent in self._plan.agents]),
-        ]
-        for positions in self._columns.positions:
-            recorded = positions >= 0
-            valid = None if recorded.all() else np.tile(recorded, n_ticks)
-            arrays.append(float_array(values[:, positions].reshape(-1), valid))
-        return arrays
-
-    # --- fates ------------------------------------------------------------------------------------------------------
-    def _write_fates(self) -> None:
-        """Move the fates that are kept to the file."""
-        fates, self._fates, self._n_fates = self._fates, [], 0
-        if not fates or self._deliveries.failure:
+        Raises:
+            RecordingError: there is none.
+        """
+        self._write()
+        if self._full is None:
             return
-        table = np.stack(
-            [
-                np.concatenate(column)
-                for column in zip(
-                    *((f.sender, f.receiver, f.stamp, f.sent, f.arrival_ns, f.fate) for f in fates), strict=True
-                )
-            ]
+        try:
+            if self._full.errno not in FULL:
+                raise self._full
+            self._spool.take_room()
+        except OSError as error:
+            self._failure = self._error(self.folder, error)
+            raise self._failure from None
+        self._full = None
+
+    def _after(self, error: OSError) -> None:
+        """The spool takes no more: what it has makes a shorter row group, if the disk has room for that."""
+        if error.errno not in FULL:
+            self._make_room(error)
+        self._flush()
+
+    def _write(self) -> None:
+        """Move all that is kept to the tables, as a row group each.
+
+        Raises:
+            RecordingError: they did not take all of it.
+        """
+        values, fates = self._block[: self._kept], stacked(self._fates)
+        self._kept, self._fates, self._n_fates = 0, [], 0
+        if not len(values) and not fates.size:
+            return
+        values, fates = self._tables.append(values, fates, self._make_room)
+        self._digest.rows(values)
+        self._digest.fates(fates.T)
+        try:
+            self._spool.finish(self._tables)
+        except OSError as error:
+            self._make_room(error)
+            with contextlib.suppress(OSError):
+                self._spool.finish(self._tables)
+        failed = self._tables.failed
+        if failed is not None:
+            self._failure = self._error(failed.path, failed.failure)
+            raise self._failure
+
+    def _make_room(self, error: OSError) -> None:
+        """Give up the spool: what it held is about to be written."""
+        self._full = error
+        self._spool.drop()
+
+    def _error(self, path: Path, error: OSError | None) -> RecordingError:
+        recorded = to_seconds(max(0, self._tables.ticks - 1) * self._plan.period_ns)
+        return RecordingError(
+            f"cannot write {path}: {getattr(error, 'strerror', None) or error}; "
+            f"the run is recorded until t = {recorded:.9g} s. Free some space, or choose another disk with --out"
         )
-        written = self._deliveries.append(self._fate_arrays(table))
-        self._digest.fates(table[:, :written].T)
-        self._check(self._deliveries)
-
-    def _fate_arrays(self, table: Ints) -> list[Any]:
-        """The columns of the deliveries for fates (6, n)."""
-        sender, receiver, stamp, sent, arrival_ns, fate = table
-        agents = [agent.name for agent in self._plan.agents]
-        return [
-            name_array(sender, agents),
-            name_array(receiver, agents),
-            int_array(stamp),
-            int_array(sent),
-            float_array(arrival_ns / NANOSECONDS_PER_SECOND, arrival_ns != NEVER),
-            int_array(arrival_ns),
-            name_array(fate, _FATE_NAMES),
-        ]
 
     # --- files ------------------------------------------------------------------------------------------------------
     def _create_files(self, undo: contextlib.ExitStack) -> None:
         """All files of the run folder; `undo` removes them again."""
-
-        def remove(name: str) -> None:
-            (self.folder / name).unlink(missing_ok=True)
-
-        undo.callback(remove, SCENARIO)
+        self._lock = FolderLock(self.folder, RUN)
+        undo.callback(self._lock.release)
+        for name in (SCENARIO, TRAJECTORIES, DELIVERIES, MANIFEST, *HIDDEN):
+            undo.callback((self.folder / name).unlink, missing_ok=True)
         (self.folder / SCENARIO).write_text(self._plan.scenario, encoding="utf-8")
-        undo.callback(remove, MANIFEST)
-        self._write_manifest(Status.RUNNING)
-        undo.callback(remove, RESERVE)
         with (self.folder / RESERVE).open("xb") as reserve:
             allocate(reserve.fileno(), 0, _RESERVE_BYTES)
-        columns = [("tick", "int64"), ("time", "float64"), ("agent", "string")]
-        columns += [(name, "float64") for name in self._columns.names]
-        undo.callback(remove, TRAJECTORIES)
-        self._trajectories = TableFile(self.folder / TRAJECTORIES, columns)
-        undo.callback(self._trajectories.close)
-        undo.callback(remove, DELIVERIES)
-        self._deliveries = TableFile(self.folder / DELIVERIES, _DELIVERY_COLUMNS)
-
-    def _check(self, table: TableFile) -> None:
-        """Raise if the table took less than it was given."""
-        if table.failure is not None:
-            recorded = to_seconds(max(0, self._written - 1) * self._plan.period_ns)
-            raise RecordingError(
-                f"cannot write {table.path}: {table.failure.strerror or table.failure}; "
-                f"the run is recorded until t = {recorded:.9g} s. Free some space, or choose another disk with --out"
-            )
+        self._tables = RunTables(self.folder, self._layout)
+        undo.callback(self._tables.abandon)
+        self._spool = Spool(self.folder, self._layout, self._tables)
+        undo.callback(self._spool.close)
+        self._write_manifest(Status.RUNNING)  # the last of all: it says that there is something to recover
 
     def _close_files(self) -> None:
-        failed = []
-        for table in (self._trajectories, self._deliveries):
-            try:
-                table.close()
-            except OSError as error:
-                failed.append(f"cannot write {table.path}: {error.strerror or error}")
-        if failed:
-            raise RecordingError("; ".join(failed))
+        try:
+            self._tables.close()
+        except OSError as error:
+            raise RecordingError(f"cannot write {error.filename or self.folder}: {error.strerror or error}") from error
 
     def _write_manifest(self, status: str, wall: float | None = None, digest: str | None = None) -> None:
-        simulated = to_seconds(max(0, self._written - 1) * self._plan.period_ns)
-        text = to_json(
-            {
-                "name": self._plan.name,
-                "title": self._plan.title,
-                "seed": self._plan.seed,
-                "status": status,
-                "digest": digest,
-                "ticks": {"planned": self._plan.ticks, "done": max(0, self._written - 1)},
-                "simulated_s": simulated,
-                "wall_s": None if wall is None else round(wall, 6),
-                "speed": round(simulated / wall, 3) if wall else None,
-                **self._manifest,
-            }
-        )
-        write_atomically(self.folder / MANIFEST, text)
+        outcome = manifest.with_outcome(self._manifest, status, self._tables.ticks if digest else 0, wall, digest)
+        write_atomically(self.folder / MANIFEST, manifest.to_json(outcome))

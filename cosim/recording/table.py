@@ -1,6 +1,6 @@
 """A Parquet file that is written in row groups and stays readable when the disk fills up.
 
-A Parquet file without its footer is lost, and a footer that names a row group which was cut off is no better. So the
+A footer that names a row group which was cut off makes the whole file unreadable. So the
 space for a row group and for the footer that follows it is reserved (`posix_fallocate`) before the first byte of the
 group is written: a full disk is known while the file can still be closed properly with what it holds.
 """
@@ -10,7 +10,9 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,10 +21,27 @@ from numpy.typing import NDArray
 
 from network.messages import Floats, Ints
 
+if sys.platform != "win32":
+    import fcntl
+
 FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """No space left on the device; over quota; over the process's limit on the size of files (RLIMIT_FSIZE)."""
 
+_MAGIC = b"PAR1"
 _NOT_SUPPORTED = frozenset({errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL})
+
+
+@dataclass(frozen=True)
+class Finished:
+    """The part of a file that is complete.
+
+    Attributes:
+        groups: the metadata of each row group, as `TableFile.new_groups` gave it.
+        end: where the last of them ends.
+    """
+
+    groups: Sequence[bytes] = ()
+    end: int = 0
 
 
 class TableFile:
@@ -31,64 +50,100 @@ class TableFile:
     Strings are stored as a dictionary, whole numbers as differences and the bytes of floats as separate streams
     (BYTE_STREAM_SPLIT), all compressed with zstd: on smooth trajectories a fifth smaller than plain, and as fast.
 
+    Every row group has a writer of its own, which gives its metadata at once: whoever knows those, and where the last
+    group ends, can go on with a file that was never closed.
+
     Args:
         path: a file that does not exist yet; it is created at once, with room for its footer.
         columns: name and type (`int64`, `float64` or `string`) of every column.
+        finished: go on with an existing file, of which this is finished; what follows in it is dropped.
 
     Raises:
         OSError: it cannot be created, or the disk is full already.
     """
 
-    def __init__(self, path: Path, columns: Sequence[tuple[str, str]]) -> None:
+    def __init__(self, path: Path, columns: Sequence[tuple[str, str]], finished: Finished | None = None) -> None:
         self.path = path
         self.failure: OSError | None = None
-        self._lost = False
         self._columns = tuple(columns)
-        self._writer: Any = None
+        self._end = 0
         self._groups = 0
-        self._reserved = 0
-        self._file: BinaryIO = path.open("xb")
+        self._new_groups: list[bytes] = []
+        self._metadata: Any = None
+        self._sink: Any = None
+        self._file: BinaryIO = path.open("xb" if finished is None else "r+b")
         try:
-            self._reserve(self._footer_bound())
+            if finished is not None:
+                self._take_up(finished)
+            self._reserved = self._end
+            self._reserve(self._end + self._footer_bound())
         except OSError:
             self._file.close()
             raise
 
-    def append(self, arrays: Sequence[Any], unit: int = 1) -> int:
+    def _take_up(self, finished: Finished) -> None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        if self._file.seek(0, os.SEEK_END) < finished.end:
+            raise OSError(errno.EIO, f"it should have {finished.end} bytes at least", str(self.path))
+        self._file.truncate(finished.end)
+        self._end = finished.end
+        for group in finished.groups:
+            self._add_metadata(pq.read_metadata(pa.BufferReader(group)))
+
+    @property
+    def end(self) -> int:
+        """Where the last row group ends."""
+        return self._end
+
+    @property
+    def rows(self) -> int:
+        """In all row groups."""
+        return 0 if self._metadata is None else int(self._metadata.num_rows)
+
+    def new_groups(self) -> list[bytes]:
+        """The metadata of each row group since the last call."""
+        groups, self._new_groups = self._new_groups, []
+        return groups
+
+    def append(self, arrays: Sequence[Any], unit: int = 1, make_room: Callable[[OSError], None] | None = None) -> int:
         """Write rows as a row group.
 
         Args:
             arrays: one per column, made by the functions below.
             unit: rows that belong together, such as those of one tick.
+            make_room: called once if not even a unit fits, before a last attempt.
 
         Returns:
-            How many rows were written: all of them, unless there is a `failure`, after which the file takes no more. If
-            the disk is full, they are as many whole units as there was room for, and the file can still be closed. If
-            writing failed although there was room, the file is lost.
+            How many rows were written: all of them, unless there is a `failure`, after which the file takes no more.
+            If the disk is full, they are as many whole units as there was room for. The file can still be closed.
         """
         import pyarrow as pa
 
         table = pa.Table.from_arrays(list(arrays), names=[name for name, _ in self._columns])
-        if self._writer is None:
-            self._open_writer()
         written = 0
         size = len(table)
         while written < len(table) and self.failure is None:
             size = min(size, len(table) - written)
             part = table.slice(written, size)
             try:
-                self._reserve(self._file.tell() + _group_bound(part) + self._footer_bound())
+                self._reserve(self._end + bound(part.nbytes, size, len(self._columns)) + self._footer_bound())
             except OSError as error:
-                if error.errno not in FULL or size <= unit:
+                if error.errno in FULL and size > unit:
+                    size = max(unit, size // 2 // unit * unit)
+                elif error.errno in FULL and make_room is not None:
+                    make_room(error)
+                    make_room, size = None, len(table)
+                else:
                     self.failure = error
-                size = max(unit, size // 2 // unit * unit)
                 continue
             try:
                 self._write(part)
             except OSError as error:
-                self.failure, self._lost = error, True
-                return 0
-            written += size
+                self.failure = error
+            else:
+                written += size
         return written
 
     def close(self) -> None:
@@ -97,27 +152,47 @@ class TableFile:
         Raises:
             OSError: the footer could not be written; the file is lost.
         """
-        if self._lost:
-            with contextlib.suppress(OSError, ValueError):  # pyarrow tries to finish the group, in vain
-                self._writer.close()
-            with contextlib.suppress(OSError):
-                self._file.close()
-            return
         with self._file:
-            if self._writer is None:
-                self._open_writer()
-            self._writer.close()
-            self._file.flush()
-            self._file.truncate(self._file.tell())
+            sink = self._open_sink()
+            try:
+                if self._metadata is None:
+                    self._open_writer([]).close()
+                else:
+                    os.lseek(sink.fileno(), self._end, os.SEEK_SET)
+                    sink.write(_serialised(self._metadata)[len(_MAGIC) :])
+                self._file.truncate(sink.tell())
+            finally:
+                sink.close()
 
-    def _open_writer(self) -> None:
+    def abandon(self) -> None:
+        """Close without a footer, so that another process can go on."""
+        self._file.close()
+        if self._sink is not None:
+            self._sink.close()
+
+    def _open_sink(self) -> Any:
+        """The file as pyarrow writes it. Its position is that of the descriptor, so that it can be moved."""
+        import pyarrow as pa
+
+        if self._sink is None and sys.platform == "win32":
+            self._sink = pa.OSFile(str(self.path), "wb")
+        elif self._sink is None:
+            self._sink = pa.OSFile(str(self.path), "ab")  # the only mode that leaves the file as it is
+            flags = fcntl.fcntl(self._sink.fileno(), fcntl.F_GETFL)
+            fcntl.fcntl(self._sink.fileno(), fcntl.F_SETFL, flags & ~os.O_APPEND)
+        return self._sink
+
+    def _open_writer(self, collector: list[Any]) -> Any:
+        """A writer at the beginning of the file: pyarrow's refuse to begin anywhere else."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
+        sink = self._open_sink()
+        os.lseek(sink.fileno(), 0, os.SEEK_SET)
         types = {"int64": pa.int64(), "float64": pa.float64(), "string": pa.dictionary(pa.int32(), pa.string())}
         encodings = {"int64": "DELTA_BINARY_PACKED", "float64": "BYTE_STREAM_SPLIT"}
-        self._writer = pq.ParquetWriter(
-            self._file,
+        return pq.ParquetWriter(
+            sink,
             pa.schema([(name, types[kind]) for name, kind in self._columns]),
             compression="zstd",
             compression_level=1,
@@ -125,12 +200,31 @@ class TableFile:
             column_encoding={name: encodings[kind] for name, kind in self._columns if kind in encodings},
             write_statistics=[name for name, kind in self._columns if kind == "int64"],
             store_schema=False,  # else the string columns would be read back as dictionaries
+            metadata_collector=collector,
         )
 
     def _write(self, table: Any) -> None:
-        self._writer.write_table(table, row_group_size=len(table))
+        collector: list[Any] = []
+        writer = self._open_writer(collector)
+        try:
+            os.lseek(self._sink.fileno(), max(self._end, len(_MAGIC)), os.SEEK_SET)
+            writer.write_table(table, row_group_size=len(table))
+            end = self._sink.tell()
+        except BaseException:
+            with contextlib.suppress(OSError):  # pyarrow tries to finish the group, in vain
+                writer.close()
+            raise
+        writer.close()  # with a footer for this group alone; whatever comes next is written over it
+        self._end = end
+        self._new_groups.append(_serialised(collector[0]))
+        self._add_metadata(collector[0])
+
+    def _add_metadata(self, metadata: Any) -> None:
         self._groups += 1
-        self._file.flush()
+        if self._metadata is None:
+            self._metadata = metadata
+        else:
+            self._metadata.append_row_groups(metadata)
 
     def _reserve(self, size: int) -> None:
         """Make sure that the file can grow to `size` bytes."""
@@ -144,9 +238,19 @@ class TableFile:
         return 4096 + names * (self._groups + 2)
 
 
-def _group_bound(table: Any) -> int:
+def bound(n_bytes: int, n_rows: int, n_columns: int) -> int:
     """No row group is longer: the numbers themselves, validity, page headers, and what compression may add."""
-    return int(table.nbytes) * 17 // 16 + (len(table) // 4 + 1024) * int(table.num_columns)
+    return n_bytes * 17 // 16 + (n_rows // 4 + 1024) * n_columns
+
+
+def _serialised(metadata: Any) -> bytes:
+    """A Parquet file without rows: the magic number, then the footer."""
+    import pyarrow as pa
+
+    sink = pa.BufferOutputStream()
+    metadata.write_metadata_file(sink)
+    content: bytes = sink.getvalue().to_pybytes()
+    return content
 
 
 # --- arrays ----------------------------------------------------------------------------------------------------------

@@ -153,7 +153,7 @@ def test_manifest_that_is_none(tmp_path: Path, text: str) -> None:
 def test_run_that_goes_on(tmp_path: Path) -> None:
     recorder = Recorder(make_plan(2, 2), tmp_path / "run")
     recorder.open()
-    with pytest.raises(ConfigError, match="still going on, or its process was killed"):
+    with pytest.raises(ConfigError, match="the run is still going on; there is nothing to read yet"):
         load(tmp_path / "run")
     recorder.close("aborted: by the test")
     assert not load(tmp_path / "run").complete
