@@ -60,6 +60,7 @@ class Edges:
         """What became of the messages of each edge, as far as it was known before the end of the span."""
         fates = self._fates
         known = (fates.fate == Fate.IN_FLIGHT) | (fates.arrival_ns < self.span.end_ns)
+        known &= fates.sent < self.span.n_ticks  # a run that fails has the fates of its last tick, too
         columns = (fates.sender, fates.receiver, fates.stamp, fates.sent, fates.arrival_ns, fates.fate)
         return edge_logs(Fates(*(column[known] for column in columns)), self.results.links)
 
