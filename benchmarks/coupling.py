@@ -24,9 +24,10 @@ import fmus
 from cosim.components.component import Component, Floats
 from cosim.components.fmu import FmuComponent
 from cosim.components.opening import describe, open_components
-from cosim.coupling import LoopMemory, PythonLoop
+from cosim.coupling import PythonLoop
 from cosim.kernel import Member, NativeBlock
 from cosim.mailbox import Updates
+from cosim.memory import LoopMemory
 from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, MailboxPlan, Method, Port
 from cosim.wiring import wire
 from fmus.build import ROOT, compile_shared, library_suffix
@@ -45,7 +46,7 @@ CALLS = (
     *("DoStep", "GetFloat64", "SetFloat64"),
 )
 _NONE = np.empty(0, np.int64)
-NO_UPDATES = Updates(_NONE, _NONE, _NONE, np.empty(0), np.empty((0, 0)))
+NO_UPDATES = Updates([0, 0], [], [], np.empty((0, 2)))
 NO_MAIL = Mail(np.zeros(2, np.int64), _NONE, _NONE, _NONE, np.empty((0, 0)))
 
 

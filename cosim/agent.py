@@ -1,6 +1,6 @@
-"""One agent: its components, its mailbox and the loop that advances them. Pure given its components.
+"""One agent: its components and the loop that advances them. Pure given its components.
 
-Rule: nothing in here knows a clock, a socket, a thread or a process. Deliveries go in, samples come out; an in-process
+Rule: nothing in here knows a clock, a socket, a thread or a process. What changes in its mailbox goes in; an in-process
 run and a worker process make the same calls.
 """
 
@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cosim.components.component import Component
-from cosim.coupling import LoopState, PythonLoop
+from cosim.coupling import PythonLoop
 from cosim.errors import ComponentError, RunError
-from cosim.mailbox import Mailbox
+from cosim.mailbox import Updates
+from cosim.memory import LoopState
 from cosim.plan import AgentPlan
 from cosim.wiring import Wiring
-from network.messages import Deliveries
 from network.units import format_duration
 
 
@@ -40,7 +40,6 @@ class Agent:
         self.components = components
         self.state = state
         self._period_ns = period_ns
-        self._mailbox = Mailbox(len(plan.neighbours), period_ns)
         self._loop = PythonLoop(wiring, components, plan.coupling, state)
         wiring.fill(state.signals, plan)
 
@@ -58,15 +57,19 @@ class Agent:
         except ComponentError as error:
             raise self.failure(error) from error
 
-    def advance(self, tick: int, deliveries: Deliveries) -> None:
-        """From `tick` to the next one; deliveries take effect at their exact time of arrival.
+    def advance(self, tick: int, updates: Updates, index: int = 0) -> None:
+        """From `tick` to the next one.
+
+        Args:
+            tick: at which the agent is.
+            updates: what changes in mailboxes; each takes effect at its exact time of arrival.
+            index: of the agent among those whose mailboxes change.
 
         Raises:
             RunError: a component failed.
         """
-        updates = self._mailbox.accept(deliveries)
         try:
-            self._loop.advance(tick * self._period_ns, (tick + 1) * self._period_ns, updates)
+            self._loop.advance(tick * self._period_ns, (tick + 1) * self._period_ns, updates, index)
         except ComponentError as error:
             raise self.failure(error) from error
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from cosim.agent import Agent
 from cosim.components.component import Floats
 from cosim.components.opening import open_components
-from cosim.coupling import LoopMemory
+from cosim.mailbox import Mailboxes
+from cosim.memory import LoopMemory
 from cosim.plan import AgentPlan, Loop, Plan
 from cosim.wiring import Wirings
 from network.messages import Mail
@@ -52,6 +53,7 @@ class Agents:
                 components = open_components(agent)
                 self._agents.append(Agent(agent, wiring, plan.period_ns, components, self._memory.state(index)))
             self._by_themselves = [i for i, agent in enumerate(own) if agent.coupling.loop is Loop.PYTHON]
+            self._mailboxes = Mailboxes([len(own[i].neighbours) for i in self._by_themselves], plan.period_ns)
             self._native = self._native_block([i for i, agent in enumerate(own) if agent.coupling.loop is Loop.NATIVE])
         except BaseException:
             self.terminate()
@@ -84,11 +86,11 @@ class Agents:
         """
         failed = self._native.advance(tick, mail) if self._native else None
         if self._by_themselves:
-            deliveries = list(mail)
-            for index in self._by_themselves:
+            updates = self._mailboxes.accept(mail if self._native is None else mail.of(self._by_themselves))
+            for place, index in enumerate(self._by_themselves):
                 if failed and failed.index < index:
                     break
-                self._agents[index].advance(tick, deliveries[index])
+                self._agents[index].advance(tick, updates, place)
         if failed:
             raise self._agents[failed.index].failure(failed.error) from failed.error
 

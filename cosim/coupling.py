@@ -19,8 +19,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,65 +27,14 @@ from numpy.typing import NDArray
 from cosim.components.component import Component, Floats
 from cosim.errors import ComponentError
 from cosim.mailbox import Updates
+from cosim.memory import LoopState
 from cosim.plan import CouplingPlan, Integrator, Method
 from cosim.wiring import Direction, Transfer, Wiring
 from network.units import NANOSECONDS_PER_SECOND, to_seconds
 
+_SET = Direction.SET
 EVENT_ITERATIONS = 100
 """How often the components of an agent may change each other's inputs at one instant."""
-
-
-@dataclass(frozen=True)
-class LoopState:
-    """What a loop remembers of an agent from one call to the next; both loops work on the same memory.
-
-    Attributes:
-        signals: (n_signals,) see `Wiring`.
-        previous: (n_signals,) signals at the start of the previous micro step (`midpoint`).
-        steps: (2,) length of the previous micro step (`midpoint`) and proposed length of the next one
-            (`dormand-prince`); 0 before the first.
-        next_event: (n_components,) time of each component's next time event in seconds, infinity for none.
-        time: (1,) the time reached, for error messages.
-    """
-
-    signals: Floats
-    previous: Floats
-    steps: Floats
-    next_event: Floats
-    time: Floats
-
-
-class LoopMemory:
-    """The `LoopState` of many agents in one array each, agent by agent.
-
-    Args:
-        sizes: per agent, the numbers of its signals and of its components.
-
-    Attributes:
-        first_signal: (n_agents + 1,) where each agent's signals begin, and the end. One number that stays zero follows.
-        first_component: (n_agents + 1,) likewise.
-        signals, previous, steps, next_event, time: see `LoopState`.
-    """
-
-    def __init__(self, sizes: Sequence[tuple[int, int]]) -> None:
-        ends = np.cumsum([(0, 0), *sizes], axis=0, dtype=np.int64)
-        self.first_signal, self.first_component = ends[:, 0], ends[:, 1]
-        self.signals = np.zeros(ends[-1, 0] + 1)
-        self.previous = np.zeros(ends[-1, 0])
-        self.steps = np.zeros((len(sizes), 2))
-        self.next_event = np.full(ends[-1, 1], math.inf)
-        self.time = np.zeros(len(sizes))
-
-    def state(self, agent: int) -> LoopState:
-        """That of one agent."""
-        (i, c), (j, d) = ((int(self.first_signal[k]), int(self.first_component[k])) for k in (agent, agent + 1))
-        return LoopState(
-            self.signals[i:j],
-            self.previous[i:j],
-            self.steps[agent],
-            self.next_event[c:d],
-            self.time[agent : agent + 1],
-        )
 
 
 class PythonLoop:
@@ -99,6 +47,13 @@ class PythonLoop:
         self._components = components
         self._coupling = coupling
         self._state = state
+        self._signals = state.signals
+        self._joint = coupling.method is Method.JOINT
+        self._step = {
+            Method.JACOBI: self._jacobi,
+            Method.GAUSS_SEIDEL: self._gauss_seidel,
+            Method.MIDPOINT: self._midpoint,
+        }.get(coupling.method)
         ends = np.cumsum([0, *(component.n_states for component in components)])
         self._states = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
 
@@ -118,7 +73,7 @@ class PythonLoop:
                 self._carry_out(gets)
         for component in self._components:
             component.exit_initialization()
-        if self._coupling.method is Method.JOINT:
+        if self._joint:
             self._iterate_events()
         else:
             for gets in wiring.outputs:
@@ -126,51 +81,43 @@ class PythonLoop:
         self._carry_out(wiring.sample)
         self._state.previous[:] = signals
 
-    def advance(self, start_ns: int, end_ns: int, updates: Updates) -> None:
+    def advance(self, start_ns: int, end_ns: int, updates: Updates, agent: int = 0) -> None:
         """From one tick to the next, breaking at each arrival; afterwards the signals hold the sample of `end_ns`.
 
         Args:
             start_ns: the tick.
             end_ns: the next one.
-            updates: what changes in the mailbox, in [start_ns, end_ns).
+            updates: what changes in mailboxes, in [start_ns, end_ns).
+            agent: whose mailbox counts.
 
         Raises:
             ComponentError: a component failed, or a state or output is not finite.
         """
         time_ns = start_ns
-        first = 0
-        while first < len(updates):
-            arrival_ns = int(updates.arrival_ns[first])
-            last = first
-            while last < len(updates) and int(updates.arrival_ns[last]) == arrival_ns:
-                last += 1
+        i, last = updates.ends[agent], updates.ends[agent + 1]
+        rows = self._wiring.mailbox.rows
+        while i < last:
+            arrival_ns = updates.arrival_ns[i]
             self._integrate(time_ns, arrival_ns)
-            for i in range(first, last):
-                self._deliver(updates, i)
+            while i < last and updates.arrival_ns[i] == arrival_ns:
+                self._signals[rows[updates.slot[i]]] = updates.content[i]
+                i += 1
             self._event(arrival_ns, listen=True)
-            time_ns, first = arrival_ns, last
+            time_ns = arrival_ns
         self._integrate(time_ns, end_ns)
         self._event(end_ns, listen=False)
         self._carry_out(self._wiring.sample)
 
     # --- events -----------------------------------------------------------------------------------------------------
-    def _deliver(self, updates: Updates, i: int) -> None:
-        mailbox, signals = self._wiring.mailbox, self._state.signals
-        slot = int(updates.slot[i])
-        signals[mailbox.values[slot]] = updates.values[i]
-        signals[mailbox.stamp[slot]] = updates.stamp[i]
-        signals[mailbox.time[slot]] = updates.time[i]
-
     def _event(self, time_ns: int, *, listen: bool) -> None:
         """A tick, an arrival or a time event. Co-Simulation components only get their new inputs."""
         self._state.time[0] = to_seconds(time_ns)
-        joint = self._coupling.method is Method.JOINT
-        if joint:
+        if self._joint:
             for component in self._components:
                 component.enter_event_mode()
         if listen:
             self._carry_out(self._wiring.listen)
-        if joint:
+        if self._joint:
             self._iterate_events()
 
     def _iterate_events(self) -> None:
@@ -195,25 +142,25 @@ class PythonLoop:
     # --- between events ---------------------------------------------------------------------------------------------
     def _integrate(self, start_ns: int, end_ns: int) -> None:
         """From one event to the next, breaking at time events of the components."""
-        method = self._coupling.method
+        if self._step is not None:
+            if start_ns < end_ns:
+                self._step_components(self._step, start_ns, end_ns)
+            return
         while start_ns < end_ns:
             stop_ns = end_ns
-            if method is Method.JOINT:
-                for event in self._state.next_event.tolist():
-                    if to_seconds(start_ns) < event < to_seconds(end_ns):
-                        event_ns = math.floor(event * NANOSECONDS_PER_SECOND + 0.5)
-                        if start_ns < event_ns < stop_ns:
-                            stop_ns = event_ns
-                if not any(component.n_states for component in self._components):
-                    self._accept(to_seconds(stop_ns), np.empty(0))
-                elif self._coupling.integrator is Integrator.RK4:
-                    self._runge_kutta(start_ns, stop_ns)
-                else:
-                    self._dormand_prince(start_ns, stop_ns)
-                if stop_ns < end_ns:
-                    self._event(stop_ns, listen=False)
+            for event in self._state.next_event.tolist():
+                if to_seconds(start_ns) < event < to_seconds(end_ns):
+                    event_ns = math.floor(event * NANOSECONDS_PER_SECOND + 0.5)
+                    if start_ns < event_ns < stop_ns:
+                        stop_ns = event_ns
+            if not any(component.n_states for component in self._components):
+                self._accept(to_seconds(stop_ns), np.empty(0))
+            elif self._coupling.integrator is Integrator.RK4:
+                self._runge_kutta(start_ns, stop_ns)
             else:
-                self._step_components(start_ns, stop_ns)
+                self._dormand_prince(start_ns, stop_ns)
+            if stop_ns < end_ns:
+                self._event(stop_ns, listen=False)
             start_ns = stop_ns
 
     def _micro_steps(self, start_ns: int, end_ns: int) -> tuple[int, float]:
@@ -317,12 +264,9 @@ class PythonLoop:
                 raise ComponentError(component.name, f"continuous state {bad[0] + 1} is not finite")
 
     # --- Co-Simulation ----------------------------------------------------------------------------------------------
-    def _step_components(self, start_ns: int, end_ns: int) -> None:
+    def _step_components(self, step: Callable[[float, float], None], start_ns: int, end_ns: int) -> None:
         n, h = self._micro_steps(start_ns, end_ns)
         start = to_seconds(start_ns)
-        step = {Method.JACOBI: self._jacobi, Method.GAUSS_SEIDEL: self._gauss_seidel, Method.MIDPOINT: self._midpoint}[
-            self._coupling.method
-        ]
         for i in range(n):
             self._state.time[0] = start + i * h
             step(start + i * h, h)
@@ -366,19 +310,18 @@ class PythonLoop:
     # --- transfers --------------------------------------------------------------------------------------------------
     def _carry_out(self, transfers: Iterable[Transfer], source: Floats | None = None) -> None:
         """Move values; SET reads from `source`, by default the signals."""
-        signals = self._state.signals
-        read = signals if source is None else source
+        read = self._signals if source is None else source
         for transfer in transfers:
             component = self._components[transfer.component]
-            if transfer.direction is Direction.SET:
-                for variable, positions in transfer.parts:
+            if transfer.direction is _SET:
+                for variable, positions, _ in transfer.parts:
                     component.set(variable, read[positions])
                 continue
-            for variable, positions in transfer.parts:
+            for variable, positions, zeros in transfer.parts:
                 values = component.get(variable)
-                if not np.isfinite(values).all():
+                if zeros.dot(values) != 0.0:  # what is not finite gives NaN; cheaper than to ask for each number
                     raise ComponentError(component.name, f"output {variable.name} is not finite")
-                signals[positions] = values
+                self._signals[positions] = values
 
 
 def _combine(weights: Sequence[float], stages: Sequence[NDArray[np.float64]]) -> Floats:

@@ -49,11 +49,12 @@ class Transfer:
     positions: Positions
 
     @cached_property
-    def parts(self) -> tuple[tuple[Variable, Positions], ...]:
-        """Each variable with its own positions."""
+    def parts(self) -> tuple[tuple[Variable, Positions | slice, NDArray[np.float64]], ...]:
+        """Each variable with its own positions, as a slice where they follow each other, and as many zeros."""
         ends = itertools.accumulate((variable.size for variable in self.variables), initial=0)
         pieces = [self.positions[begin:end] for begin, end in itertools.pairwise(ends)]
-        return tuple(zip(self.variables, pieces, strict=True))
+        zeros = [np.zeros(len(piece)) for piece in pieces]
+        return tuple(zip(self.variables, map(_as_slice, pieces), zeros, strict=True))
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,11 @@ class MailboxLayout:
     stamp: Positions
     time: Positions
     weight: Positions
+
+    @cached_property
+    def rows(self) -> tuple[Positions, ...]:
+        """Of each in-neighbour, the positions of its values, its stamp and its time (`Updates.content`)."""
+        return tuple(np.column_stack((self.values, self.stamp, self.time)))
 
 
 @dataclass(frozen=True)
@@ -165,6 +171,14 @@ class Wirings:
         if key not in self._known:
             self._known[key] = plan, wire(plan, self._layout)  # the plan stays alive, and with it its parts' identity
         return self._known[key][1]
+
+
+def _as_slice(positions: Positions) -> Positions | slice:
+    """The same positions, as a slice if they can be."""
+    n = len(positions)
+    if n and np.array_equal(positions, np.arange(positions[0], positions[0] + n)):
+        return slice(int(positions[0]), int(positions[0]) + n)
+    return positions
 
 
 def _key(port: Port) -> tuple[int, str]:

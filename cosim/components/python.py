@@ -9,6 +9,7 @@ import functools
 import hashlib
 import importlib
 import inspect
+import itertools
 import math
 import pkgutil
 import sys
@@ -342,13 +343,16 @@ class PythonInstance(Component):
         self.interface = interface
         self.description = description
         self._model: PythonComponent = self._run(load(dotted))
-        self._model._values = {
-            v.name: np.array(v.start, _ARRAY_TYPES[v.dtype]).reshape(v.shape) for v in description.variables.values()
-        }
+        variables = description.variables
+        values = {v.name: np.array(v.start, _ARRAY_TYPES[v.dtype]).reshape(v.shape) for v in variables.values()}
         declared = _declarations(type(self._model))
-        self._states = {n: self._model.values_of(n) for n, d in declared.items() if isinstance(d, State)}
-        self.n_states = sum(state.size for state in self._states.values())
-        self._slopes = {n: np.zeros(state.shape) for n, state in self._states.items()}
+        states = {name: values[name] for name, d in declared.items() if isinstance(d, State)}
+        # States lie in one array, and their derivatives in another: they are asked for many times a step.
+        self._state, own = _joined(states)
+        self._slope, self._slopes = _joined(states)
+        self._model._values = values | own
+        self._flat = {name: array.reshape(-1) for name, array in self._model._values.items()}
+        self.n_states = len(self._state)
         self._time = 0.0
         self._initialising = True
         self._stale = True
@@ -363,12 +367,12 @@ class PythonInstance(Component):
     # --- values -----------------------------------------------------------------------------------------------------
     def get(self, variable: Variable) -> Floats:
         self._evaluate()
-        return self._model.values_of(variable.name).astype(np.float64).reshape(-1)
+        values: Floats = self._flat[variable.name].astype(np.float64)
+        return values
 
     def set(self, variable: Variable, values: Floats) -> None:
-        target = self._model.values_of(variable.name)
-        converted = np.rint(values) if target.dtype.kind == "i" else values
-        target[...] = converted.reshape(target.shape)
+        target = self._flat[variable.name]
+        target[:] = np.rint(values) if target.dtype.kind == "i" else values
         self._stale = True
 
     def start(self, variable: Variable, values: Sequence[Value]) -> None:
@@ -413,13 +417,10 @@ class PythonInstance(Component):
         self._stale = True
 
     def get_states(self) -> Floats:
-        return _flat(self._states)
+        return self._state.copy()
 
     def set_states(self, states: Floats) -> None:
-        offset = 0
-        for state in self._states.values():
-            state[...] = states[offset : offset + state.size].reshape(state.shape)
-            offset += state.size
+        self._state[:] = states
         self._stale = True
 
     def derivatives(self) -> Floats:
@@ -433,7 +434,7 @@ class PythonInstance(Component):
             raise ComponentError(self.name, f"derivatives returned {found}, not {wanted}")
         for name, slope in self._slopes.items():
             self._run(_assign, slope, by_name[name])
-        return _flat(self._slopes)
+        return self._slope.copy()
 
     def completed_step(self) -> bool:
         return False
@@ -456,8 +457,12 @@ class PythonInstance(Component):
         """Nothing to prepare."""
 
 
-def _flat(arrays: Mapping[str, NDArray[Any]]) -> Floats:
-    return np.concatenate([np.empty(0), *(array.reshape(-1) for array in arrays.values())])
+def _joined(arrays: Mapping[str, NDArray[Any]]) -> tuple[Floats, dict[str, Floats]]:
+    """Copies of arrays one after the other in one, and each of them as a part of it."""
+    joined = np.concatenate([np.empty(0), *(array.reshape(-1) for array in arrays.values())])
+    ends = list(itertools.accumulate((array.size for array in arrays.values()), initial=0))
+    pieces = zip(arrays.items(), itertools.pairwise(ends), strict=True)
+    return joined, {name: joined[i:j].reshape(array.shape) for (name, array), (i, j) in pieces}
 
 
 def _assign(target: NDArray[Any], value: ArrayLike) -> None:

@@ -21,7 +21,7 @@ from cosim.plan import CouplingPlan
 from network.units import to_seconds
 
 if TYPE_CHECKING:
-    from cosim.coupling import LoopMemory
+    from cosim.memory import LoopMemory
     from cosim.wiring import Wiring
     from network.messages import Mail
 

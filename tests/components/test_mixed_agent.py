@@ -15,15 +15,16 @@ import fmus
 from cosim.components.component import Floats
 from cosim.components.opening import describe, open_components
 from cosim.components.python import Input, Output, PythonComponent, State
-from cosim.coupling import LoopMemory, PythonLoop
+from cosim.coupling import PythonLoop
 from cosim.mailbox import Updates
+from cosim.memory import LoopMemory
 from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, Integrator, MailboxPlan, Method, Port
 from cosim.wiring import wire
 from network.messages import MessageLayout
 
 T_NS = 100_000_000
 NONE = np.empty(0, np.int64)
-NO_UPDATES = Updates(NONE, NONE, NONE, np.empty(0), np.empty((0, 0)))
+NO_UPDATES = Updates([0, 0], [], [], np.empty((0, 2)))
 
 
 class Lag(PythonComponent):

@@ -1,64 +1,68 @@
 """The freshest-stamp rule (eq. k_t) against its definition, for any order of arrival."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.mailbox import Mailbox
-from network.messages import NEVER, Deliveries
+from cosim.mailbox import Mailboxes, Updates
+from network.messages import NEVER, Mail
 
 PERIOD_NS = 100_000_000
+SLOTS = 4
+Pairs = list[tuple[int, int]]
 
-arrivals = st.lists(st.tuples(st.integers(0, 3), st.integers(0, 20)), max_size=40)
+arrivals = st.lists(st.tuples(st.integers(0, SLOTS - 1), st.integers(0, 20)), max_size=40)
 
 
-def deliveries(pairs: list[tuple[int, int]]) -> Deliveries:
-    """One arrival a millisecond; the message carries its own slot and stamp."""
+def mail(agents: list[Pairs]) -> Mail:
+    """One arrival a millisecond at each agent; the message carries its own slot and stamp."""
+    pairs = [pair for agent in agents for pair in agent]
     slots = np.array([slot for slot, _ in pairs], dtype=np.int64)
     stamps = np.array([stamp for _, stamp in pairs], dtype=np.int64)
-    times = np.arange(len(pairs), dtype=np.int64) * 1_000_000
-    return Deliveries(times, slots, stamps, np.stack([slots, stamps], axis=1).astype(float).reshape(len(pairs), 2))
+    times = np.array([i * 1_000_000 for agent in agents for i in range(len(agent))], dtype=np.int64)
+    values = np.stack([slots, stamps], axis=1).astype(float).reshape(len(pairs), 2)
+    return Mail(np.cumsum([0, *map(len, agents)]), times, slots, stamps, values)
 
 
-@given(arrivals)
-def test_keeps_the_largest_stamp_that_has_arrived(pairs: list[tuple[int, int]]) -> None:
-    mailbox = Mailbox(4, PERIOD_NS)
-    updates = mailbox.accept(deliveries(pairs))
-    for slot in range(4):
-        stamps = [stamp for s, stamp in pairs if s == slot]
-        assert mailbox.stamps[slot] == max(stamps, default=NEVER)
-        accepted = updates.stamp[updates.slot == slot].tolist()
-        assert accepted == sorted(set(accepted)), "every accepted stamp is fresher than the one before"
-        records = [s for i, s in enumerate(stamps) if s > max(stamps[:i], default=NEVER)]
-        assert accepted == records
+def accepted(updates: Updates, agent: int) -> list[tuple[int, int, int]]:
+    """Arrival, slot and stamp."""
+    part = slice(updates.ends[agent], updates.ends[agent + 1])
+    stamps = updates.content[part, 2].astype(int).tolist()
+    return list(zip(updates.arrival_ns[part], updates.slot[part], stamps, strict=True))
 
 
-@given(arrivals, st.integers(0, 40))
-def test_cutting_the_stream_anywhere_changes_nothing(pairs: list[tuple[int, int]], cut: int) -> None:
-    whole, parts = Mailbox(4, PERIOD_NS), Mailbox(4, PERIOD_NS)
-    together = whole.accept(deliveries(pairs))
-    first, second = parts.accept(deliveries(pairs[:cut])), parts.accept(deliveries(pairs[cut:]))
-    assert together.stamp.tolist() == first.stamp.tolist() + second.stamp.tolist()
-    assert whole.stamps == parts.stamps
+def records(pairs: Pairs, before: Pairs) -> list[tuple[int, int, int]]:
+    """By the definition, message by message."""
+    freshest = dict.fromkeys(range(SLOTS), NEVER)
+    found = []
+    for i, (slot, stamp) in enumerate([*before, *pairs]):
+        if stamp > freshest[slot]:
+            freshest[slot] = stamp
+            found.append((i, slot, stamp))
+    return [((i - len(before)) * 1_000_000, slot, stamp) for i, slot, stamp in found if i >= len(before)]
 
 
-def test_update_carries_sample_time_and_values() -> None:
-    updates = Mailbox(4, PERIOD_NS).accept(deliveries([(2, 7)]))
-    assert updates.time.tolist() == [0.7]
-    assert updates.values.tolist() == [[2.0, 7.0]]
+@given(st.lists(st.tuples(arrivals, arrivals), max_size=4))
+def test_keeps_the_largest_stamp_that_has_arrived(agents: list[tuple[Pairs, Pairs]]) -> None:
+    """In one tick and in the next, agent by agent."""
+    mailboxes = Mailboxes([SLOTS] * len(agents), PERIOD_NS)
+    first = mailboxes.accept(mail([pairs for pairs, _ in agents]))
+    second = mailboxes.accept(mail([pairs for _, pairs in agents]))
+    for agent, (now, then) in enumerate(agents):
+        assert accepted(first, agent) == records(now, [])
+        assert accepted(second, agent) == records(then, now)
+        largest = [max([stamp for s, stamp in now + then if s == slot], default=NEVER) for slot in range(SLOTS)]
+        assert mailboxes.stamps[SLOTS * agent : SLOTS * (agent + 1)].tolist() == largest
 
 
-@pytest.mark.parametrize(
-    "pairs", [[(0, 1), (1, 2), (2, 3)], [(0, 2), (0, 1), (1, 5)]], ids=["all accepted", "one stale"]
-)
-def test_updates_are_contiguous_whatever_the_deliveries_are_views_of(pairs: list[tuple[int, int]]) -> None:
-    """The native loop reads them by address; the emulator hands out columns of a table."""
-    plain = deliveries(pairs)
-    columns = np.stack([plain.arrival_ns, plain.slot, plain.stamp], axis=1)
-    strided = Deliveries(columns[:, 0], columns[:, 1], columns[:, 2], np.asfortranarray(plain.values))
-    expected, updates = Mailbox(4, PERIOD_NS).accept(plain), Mailbox(4, PERIOD_NS).accept(strided)
-    for name in ("arrival_ns", "slot", "stamp", "time", "values"):
-        array = getattr(updates, name)
-        assert array.flags.c_contiguous, name
-        assert np.array_equal(array, getattr(expected, name)), name
+def test_one_message_of_each_sender() -> None:
+    """The common case: nothing is to be put in order."""
+    mailboxes = Mailboxes([2, 0, 1], PERIOD_NS)
+    assert accepted(mailboxes.accept(mail([[(1, 3), (0, 2)], [], [(0, 5)]])), 0) == [(0, 1, 3), (1_000_000, 0, 2)]
+    later = mailboxes.accept(mail([[(0, 2), (1, 4)], [], [(0, 4)]]))
+    assert [accepted(later, agent) for agent in range(3)] == [[(1_000_000, 1, 4)], [], []]
+
+
+def test_update_carries_values_stamp_and_sample_time() -> None:
+    updates = Mailboxes([SLOTS], PERIOD_NS).accept(mail([[(2, 7)]]))
+    assert updates.content.tolist() == [[2.0, 7.0, 7.0, 0.7]]

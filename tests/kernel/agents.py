@@ -11,9 +11,10 @@ import numpy as np
 import fmus
 from cosim.components.component import Component, Value, Variable, head
 from cosim.components.opening import describe, open_components
-from cosim.coupling import LoopMemory, PythonLoop
+from cosim.coupling import PythonLoop
 from cosim.kernel import Member, NativeBlock
-from cosim.mailbox import Mailbox
+from cosim.mailbox import Mailboxes
+from cosim.memory import LoopMemory
 from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, Integrator, MailboxPlan, Method, Port
 from cosim.wiring import wire
 from network.messages import Mail, MessageLayout
@@ -112,7 +113,7 @@ class LiveAgent:
         self.state = self.memory.state(0)
         self.wiring.fill(self.state.signals, agent)
         self.python = PythonLoop(self.wiring, self.components, agent.coupling, self.state)
-        self._mailbox = Mailbox(len(agent.neighbours), T_NS)
+        self._mailbox = Mailboxes([len(agent.neighbours)], T_NS)
         member = Member(0, self.wiring, self.components, agent.coupling)
         self._block = NativeBlock([member], self.memory, T_NS) if native else None
         self._layout = layout
@@ -121,7 +122,7 @@ class LiveAgent:
         """To the next tick; raises the `ComponentError`."""
         came = mail(rows, self._layout)
         if self._block is None:
-            self.python.advance(tick * T_NS, (tick + 1) * T_NS, self._mailbox.accept(came[0]))
+            self.python.advance(tick * T_NS, (tick + 1) * T_NS, self._mailbox.accept(came))
         elif failed := self._block.advance(tick, came):
             raise failed.error
 
