@@ -62,6 +62,12 @@ class Results:
         """Whether the run reached its last tick."""
         return bool(self.manifest["status"] == "complete")
 
+    @property
+    def realtime(self) -> Mapping[str, Any] | None:
+        """How the schedule of a run that was paced against the wall clock was kept; see docs/design.md."""
+        account: Mapping[str, Any] | None = self.manifest.get("realtime")
+        return account
+
     @cached_property
     def links(self) -> Links:
         """The edges, in the plan's order."""

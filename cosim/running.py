@@ -84,6 +84,8 @@ def _pacer(args: argparse.Namespace, plan: Plan) -> Pacer | None:
         if args.overrun is not None:
             raise CosimError(f"--overrun {args.overrun} is for runs that are paced; add --realtime")
         return None
+    import pyarrow.parquet  # noqa: F401 - now rather than when the first block is written, in the midst of ticks
+
     precise_timers()
     return Pacer(plan, args.realtime, Overrun(args.overrun or Overrun.WARN), say=say)
 

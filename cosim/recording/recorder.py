@@ -81,7 +81,8 @@ class Recorder:
         self._started = 0.0
 
         ticks_at_once = max(1, block_bytes // (8 * max(1, self._layout.width)))
-        self._block = np.empty((min(ticks_at_once, plan.ticks + 1), self._layout.width))
+        # One more than there are: the last tick, which may have a deadline, is not held up by writing.
+        self._block = np.empty((min(ticks_at_once, plan.ticks + 2), self._layout.width))
         self._kept = 0  # rows of the block in use
         self._fates: list[Ints] = []
         self._n_fates = 0

@@ -82,6 +82,36 @@ def agreement(results: Results) -> Rows:
     return rows
 
 
+# --- the wall clock ---------------------------------------------------------------------------------------------------
+def realtime(results: Results) -> Rows:
+    """How the schedule of a paced run was kept; empty for others."""
+    account = results.realtime
+    if account is None:
+        return []
+    policy = {"warn": "warn and catch up", "abort": "abort", "stretch": "stretch the schedule"}[account["overrun"]]
+    rows = [
+        ("Real-time factor", f"{number(account['reached'], digits=6)} reached, {account['factor']:g} wanted"),
+        ("Wall time from release to deadline", _milliseconds(account["period_s"])),
+        ("Lateness of ticks", _percentiles(account["lateness_s"])),
+        ("Jitter of releases", _percentiles(account["jitter_s"])),
+        ("Missed ticks", f"{account['missed']} of {account['ticks']}"),
+        ("On an overrun", policy),
+    ]
+    if account["stretched_s"]:
+        rows.append(("Schedule stretched by", _milliseconds(account["stretched_s"])))
+    return rows
+
+
+def _percentiles(durations: Mapping[str, float | None]) -> str:
+    if durations["max"] is None:
+        return NOTHING
+    return ", ".join(f"{name} {_milliseconds(value)}" for name, value in durations.items())
+
+
+def _milliseconds(seconds: float | None) -> str:
+    return number(None if seconds is None else 1e3 * seconds, "ms", 3)
+
+
 # --- the network ------------------------------------------------------------------------------------------------------
 def network(edges: Edges) -> Rows:
     """Counts, ages, and the tolerance pairs of Assumption 1, over all edges."""

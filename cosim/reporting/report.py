@@ -71,14 +71,14 @@ def draw(folder: Path, stop_requested: Callable[[], bool] = lambda: False) -> Pa
 
 
 def _draw_figures(results: Results, folder: Path, stop_requested: Callable[[], bool]) -> list[Shown] | None:
-    from cosim.reporting.figures import FIGURES, NotDrawn, Scene
+    from cosim.reporting.figures import NotDrawn, Scene, figures_of
     from cosim.reporting.figures.style import save, styled
 
     folder.mkdir(exist_ok=True)
     scene = Scene(results)
     shown = []
     with styled():
-        for entry in FIGURES:
+        for entry in figures_of(results):
             if stop_requested():
                 return None
             try:
@@ -126,6 +126,7 @@ def _render(results: Results, shown: list[Shown]) -> str:
         conditions=conditions,
         published=any(line.mu != findings.NOTHING for line in conditions),
         network=findings.network(Edges(results)),
+        realtime=findings.realtime(results),
         provenance=findings.provenance(results),
         figures=[figure for figure in shown if figure.svg],
         missing=[figure for figure in shown if not figure.svg],

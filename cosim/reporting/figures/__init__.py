@@ -11,6 +11,7 @@ from cosim.reporting.figures.age import draw_age
 from cosim.reporting.figures.channel import draw_channel
 from cosim.reporting.figures.disagreement import draw_disagreement
 from cosim.reporting.figures.graph import draw_graph
+from cosim.reporting.figures.lateness import draw_lateness
 from cosim.reporting.figures.scene import NotDrawn, Scene
 from cosim.reporting.figures.signals import (
     parameter_estimates,
@@ -18,6 +19,7 @@ from cosim.reporting.figures.signals import (
     relative_velocities,
     velocity_estimates,
 )
+from cosim.results import Results
 
 
 @dataclass(frozen=True)
@@ -45,5 +47,12 @@ FIGURES = (
     Entry("age", "Age of information", draw_age),
     Entry("parameters", "Parameter estimates", parameter_estimates),
 )
+PACED = (Entry("lateness", "Lateness against the wall clock", draw_lateness),)
 
-__all__ = ["FIGURES", "Entry", "NotDrawn", "Scene"]
+
+def figures_of(results: Results) -> tuple[Entry, ...]:
+    """The figures that a run of its kind may have."""
+    return FIGURES if results.realtime is None else FIGURES + PACED
+
+
+__all__ = ["FIGURES", "PACED", "Entry", "NotDrawn", "Scene", "figures_of"]
