@@ -6,9 +6,9 @@ run and a worker process make the same calls.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from cosim.components.component import Component
+from cosim.components.component import Component, Floats
 from cosim.coupling import PythonLoop
 from cosim.errors import ComponentError, RunError
 from cosim.mailbox import Updates
@@ -19,7 +19,7 @@ from network.units import format_duration
 
 
 class Agent:
-    """The call order is `initialise`, then `advance` for every tick; at the end `terminate`.
+    """The call order is `initialise`, then `take` and `advance` for every tick; at the end `terminate`.
 
     A native agent is advanced by `cosim.kernel.NativeBlock` instead, on the same state. What an agent publishes and
     what is recorded of it are signals, which `cosim.agents` gathers.
@@ -42,6 +42,7 @@ class Agent:
         self._period_ns = period_ns
         self._loop = PythonLoop(wiring, components, plan.coupling, state)
         wiring.fill(state.signals, plan)
+        self._external = [(x.subscription, at) for x, at in zip(plan.external, wiring.external, strict=True)]
 
     def initialise(self, stop_ns: int) -> None:
         """Bring all components to tick 0.
@@ -54,6 +55,26 @@ class Agent:
         """
         try:
             self._loop.initialise(0, stop_ns)
+        except ComponentError as error:
+            raise self.failure(error) from error
+
+    def take(self, tick: int, taken: Mapping[int, Floats]) -> None:
+        """Let values from outside take effect, at an event of its own; inputs that are not among them keep theirs.
+
+        Args:
+            tick: at which they were taken.
+            taken: new values by subscription.
+
+        Raises:
+            RunError: a component failed.
+        """
+        own = [(positions, taken[index]) for index, positions in self._external if index in taken]
+        if not own:
+            return
+        for positions, values in own:
+            self.state.signals[positions] = values
+        try:
+            self._loop.listen(tick * self._period_ns)
         except ComponentError as error:
             raise self.failure(error) from error
 

@@ -7,7 +7,7 @@ in its turn: agents do not meet but through the mail, and of several failures th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +24,8 @@ from network.messages import Mail
 
 if TYPE_CHECKING:
     from cosim.kernel import NativeBlock
+
+NOTHING: Mapping[int, Floats] = {}
 
 
 class Agents:
@@ -58,6 +60,7 @@ class Agents:
         except BaseException:
             self.terminate()
             raise
+        self._fed = [agent for agent in self._agents if agent.plan.external]
         self._places_of_samples = self._published()
         self._places_of_row = self._recorded()
 
@@ -78,12 +81,20 @@ class Agents:
         """What is recorded at the current tick, agent by agent, before deliveries of this very instant take effect."""
         return self._memory.signals[self._places_of_row]
 
-    def advance(self, tick: int, mail: Mail) -> None:
+    def advance(self, tick: int, mail: Mail, taken: Mapping[int, Floats] = NOTHING) -> None:
         """From `tick` to the next one; deliveries take effect at their exact times of arrival.
+
+        Args:
+            tick: at which the agents are.
+            mail: the deliveries.
+            taken: values from outside that are new at this tick, by subscription; they take effect at once.
 
         Raises:
             RunError: a component failed. Nothing may be advanced afterwards.
         """
+        if taken:
+            for agent in self._fed:
+                agent.take(tick, taken)
         failed = self._native.advance(tick, mail) if self._native else None
         if self._by_themselves:
             updates = self._mailboxes.accept(mail if self._native is None else mail.of(self._by_themselves))

@@ -108,6 +108,14 @@ class PythonLoop:
         self._event(end_ns, listen=False)
         self._carry_out(self._wiring.sample)
 
+    def listen(self, time_ns: int) -> None:
+        """An event at which the inputs take what the mailbox and the outside have for them.
+
+        Raises:
+            ComponentError: a component failed, or an output is not finite.
+        """
+        self._event(time_ns, listen=True)
+
     # --- events -----------------------------------------------------------------------------------------------------
     def _event(self, time_ns: int, *, listen: bool) -> None:
         """A tick, an arrival or a time event. Co-Simulation components only get their new inputs."""

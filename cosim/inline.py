@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from cosim.agents import Agents
@@ -12,6 +12,9 @@ from cosim.pacing import Pacer
 from cosim.plan import Plan
 from network.emulator import Emulator
 from network.messages import Fates
+
+Take = Callable[[int], Mapping[int, Floats]]
+"""The values from outside that are new at a tick, by subscription; see `cosim.bridge`."""
 
 
 class Observer(Protocol):
@@ -40,6 +43,7 @@ def run(
     observers: Sequence[Observer],
     stop_requested: Callable[[], bool] = lambda: False,
     pacer: Pacer | None = None,
+    take: Take | None = None,
 ) -> None:
     """Play a plan from tick 0 to its last tick.
 
@@ -48,6 +52,7 @@ def run(
         observers: told of every tick and every fate, in order.
         stop_requested: asked once per tick, and every 20 ms while the pacer waits.
         pacer: holds the run back to the pace of the wall; without one, it runs as fast as it can.
+        take: gives the values from outside that are new at a tick; needed if the plan subscribes to any.
 
     Raises:
         RunError: a component failed.
@@ -56,17 +61,18 @@ def run(
     """
     agents = Agents(plan)
     try:
-        _play(plan, agents, observers, stop_requested, pacer)
+        _play(plan, agents, observers, stop_requested, pacer, take)
     finally:
         agents.terminate()
 
 
-def _play(
+def _play(  # noqa: PLR0917
     plan: Plan,
     agents: Agents,
     observers: Sequence[Observer],
     stop_requested: Callable[[], bool],
     pacer: Pacer | None,
+    take: Take | None,
 ) -> None:
     emulator = Emulator(plan.links, plan.channels, plan.link_channel, plan.layout, plan.seed, plan.period_ns)
     master = Master([len(plan.agents)], plan.layout.width, plan.ticks)
@@ -82,13 +88,14 @@ def _play(
             observer.tick(tick, row)
         if not isinstance(instruction, Emulate):
             break
+        taken = take(tick) if take is not None else {}
         if stop_requested() or (pacer is not None and not pacer.wait(tick + 1, stop_requested)):
             raise Interrupted(tick)
         exchange = emulator.emulate(instruction.tick, instruction.values)
         for observer in observers:
             observer.fates(exchange.fates)
         order = master.exchanged(exchange)
-        agents.advance(order.tick, order.mail)
+        agents.advance(order.tick, order.mail, taken)
     in_flight = emulator.finish()
     for observer in observers:
         observer.fates(in_flight)

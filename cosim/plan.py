@@ -15,7 +15,11 @@ from typing import Literal, TypeAlias
 from cosim.components.component import Description, Value, Variable
 from network.channel import ChannelModel
 from network.messages import Links, MessageLayout
+from network.payload import Encoding
 from network.units import to_seconds
+
+EXTERNAL = "external.parquet"
+"""File of a run folder: what was taken from outside, which the resolved scenario beside it replays."""
 
 
 class Method(StrEnum):
@@ -99,6 +103,20 @@ class MailboxPlan:
 
 
 @dataclass(frozen=True)
+class External:
+    """An input that takes its value from outside of the run, through the bridge.
+
+    Attributes:
+        subscription: index in `BridgePlan.subscribe`.
+        start: (size,) its value until the first one has come.
+    """
+
+    subscription: int
+    port: Port
+    start: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class AgentPlan:
     """One agent.
 
@@ -119,6 +137,60 @@ class AgentPlan:
     weights: tuple[float, ...]
     coupling: CouplingPlan
     record: tuple[tuple[str, Port], ...]
+    external: tuple[External, ...] = ()
+
+
+@dataclass(frozen=True)
+class Publication:
+    """What the bridge publishes on one key at every tick.
+
+    Attributes:
+        variable: `component.variable`, for people.
+        part: where its numbers are in the recorded row of the agent.
+    """
+
+    key: str
+    encoding: Encoding
+    agent: int
+    variable: str
+    part: slice
+
+
+@dataclass(frozen=True)
+class Subscription:
+    """A key whose newest value is taken at every tick.
+
+    Attributes:
+        size: how many numbers it must have.
+        low, high: what its inputs can hold.
+        whole: whether they hold whole numbers only.
+    """
+
+    key: str
+    encoding: Encoding
+    size: int
+    low: float
+    high: float
+    whole: bool
+
+
+@dataclass(frozen=True)
+class BridgePlan:
+    """What a run says to others, and takes from them, over plain Zenoh; see docs/bridge.md.
+
+    Attributes:
+        listen, connect: Zenoh endpoints.
+        replay: a recording that stands in for the outside; nothing is opened then.
+    """
+
+    listen: tuple[str, ...] = ()
+    connect: tuple[str, ...] = ()
+    publish: tuple[Publication, ...] = ()
+    subscribe: tuple[Subscription, ...] = ()
+    replay: Path | None = None
+
+    def __bool__(self) -> bool:
+        return bool(self.publish or self.subscribe)
 
 
 @dataclass(frozen=True)
@@ -164,6 +236,7 @@ class Plan:
     analysis: AnalysisPlan
     scenario: str
     workers: Workers = None
+    bridge: BridgePlan = BridgePlan()
 
     @property
     def period(self) -> float:

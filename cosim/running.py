@@ -14,9 +14,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from cosim.bridge import Bridge, open_bridge, recorded
 from cosim.components.component import Floats
 from cosim.errors import ClusterError, ConfigError, CosimError, OverrunError, Problem, RunError
-from cosim.inline import Interrupted, Observer, run
+from cosim.inline import Interrupted, Observer, Take, run
 from cosim.pacing import Overrun, Pacer, precise_timers
 from cosim.plan import Plan
 from cosim.progress import Disagreement, Progress, say
@@ -54,11 +55,20 @@ def main(args: argparse.Namespace) -> int:
     recorder = Recorder(plan, run_folder(plan.name, args.out), details)
     summary = _Summary(plan, pacer)
     stop = StopRequest()
-    with stop.listening(), Progress(plan, quiet=args.quiet, pacer=pacer) as progress:
+    with (
+        stop.listening(),
+        open_bridge(plan, _warn) as bridge,
+        Progress(plan, quiet=args.quiet, pacer=pacer) as progress,
+    ):
         recorder.open()
+        if bridge is not None and not args.quiet:
+            say(f"the bridge {bridge.where}")
         try:
             with _accounted(pacer, recorder):
-                play([recorder, summary, progress], stop)
+                if bridge is None:
+                    play([recorder, summary, progress], stop)
+                else:
+                    play([recorder, bridge, summary, progress], stop, take=recorded(bridge, recorder.external))
         except Interrupted as interrupted:
             reached = f"t = {interrupted.tick * plan.period:.9g} s"
             recorder.close(f"aborted: interrupted at {reached}")
@@ -69,12 +79,18 @@ def main(args: argparse.Namespace) -> int:
             raise
     digest = recorder.close("complete")
     if not args.quiet:
-        summary.show(recorder.folder, digest)
+        summary.show(recorder.folder, digest, bridge)
     return _draw(recorder.folder, quiet=args.quiet) if args.report else 0
 
 
+def _warn(text: str) -> None:
+    say(f"warning: {text}")
+
+
 class _Play(Protocol):
-    def __call__(self, observers: Sequence[Observer], stop_requested: Callable[[], bool]) -> None:
+    def __call__(
+        self, observers: Sequence[Observer], stop_requested: Callable[[], bool], take: Take | None = None
+    ) -> None:
         """Play the plan to its end."""
 
 
@@ -138,7 +154,7 @@ class _Summary:
     def fates(self, fates: Fates) -> None:
         """Not needed."""
 
-    def show(self, folder: Path, digest: str) -> None:
+    def show(self, folder: Path, digest: str, bridge: Bridge | None) -> None:
         """Say what was done, where it is, and how far the agents are from agreeing."""
         wall = time.perf_counter() - self._started
         simulated = self._plan.ticks * self._plan.period
@@ -146,6 +162,8 @@ class _Summary:
         disagreement = Disagreement(self._plan).of(self._row)
         if disagreement is not None:
             print(f"  disagreement at the end  {disagreement:.3g} (largest |p_1 - p_i|)")
+        for i, line in enumerate(bridge.account() if bridge is not None else ()):
+            print(f"  {'' if i else 'bridge':<25}{line}")
         if self._pacer is not None:
             print(self._pacer)
         print(f"  digest                   {digest}")

@@ -1,8 +1,8 @@
 """The signals of one agent: which values move between its components and its mailbox, and in which order.
 
 All values live in one flat vector, the signals: first the outputs of the components that somebody reads, then the
-mailbox. A `Transfer` moves values between that vector and one component. Both micro-step loops, the Python one and the
-native one, carry out the same transfers.
+mailbox, then what comes from outside. A `Transfer` moves values between that vector and one component. Both micro-step
+loops, the Python one and the native one, carry out the same transfers.
 """
 
 from __future__ import annotations
@@ -83,13 +83,14 @@ class Wiring:
 
     Attributes:
         n_signals: length of the signal vector.
-        owner: (n_signals,) component whose output a signal is; -1 for the mailbox.
+        owner: (n_signals,) component whose output a signal is; -1 for the mailbox and what comes from outside.
         mailbox: its place.
+        external: of each value from outside, its place.
         propagate: outputs to inputs, ordered so that every output is read after the inputs that feed through to it.
             Empty unless the coupling is `joint`, the only one that evaluates outputs between steps.
         outputs: per component, GET of every output that some input is connected to.
         inputs: per component, SET of every connected input.
-        listen: SET of every input that the mailbox feeds.
+        listen: SET of every input that the mailbox or the outside feeds.
         sample: GET of what is published or recorded and not among `outputs`.
         published, recorded: positions of the published message, and of the recorded row, in the signals.
     """
@@ -97,6 +98,7 @@ class Wiring:
     n_signals: int
     owner: Positions
     mailbox: MailboxLayout
+    external: tuple[Positions, ...]
     propagate: tuple[Transfer, ...]
     outputs: tuple[tuple[Transfer, ...], ...]
     inputs: tuple[tuple[Transfer, ...], ...]
@@ -106,9 +108,11 @@ class Wiring:
     recorded: Positions
 
     def fill(self, signals: NDArray[np.float64], plan: AgentPlan) -> None:
-        """At the start: no neighbour heard yet, and the weights in place; all else stays zero."""
+        """At the start: no neighbour heard yet; weights, and values from outside, in place; all else stays zero."""
         signals[self.mailbox.stamp] = NEVER
         signals[self.mailbox.weight] = plan.weights
+        for positions, external in zip(self.external, plan.external, strict=True):
+            signals[positions] = external.start
 
 
 def wire(plan: AgentPlan, layout: MessageLayout) -> Wiring:
@@ -128,6 +132,10 @@ def wire(plan: AgentPlan, layout: MessageLayout) -> Wiring:
         owner += [port.component] * port.variable.size
     mailbox = _mailbox_layout(len(plan.neighbours), layout, len(owner))
     owner += [-1] * (mailbox.values.size + 3 * len(plan.neighbours))
+    external: list[Positions] = []
+    for source in plan.external:
+        external.append(np.arange(len(owner), len(owner) + len(source.start), dtype=np.int32))
+        owner += [-1] * len(source.start)
 
     components = range(len(plan.components))
     joint = plan.coupling.method is Method.JOINT
@@ -136,13 +144,14 @@ def wire(plan: AgentPlan, layout: MessageLayout) -> Wiring:
         n_signals=len(owner),
         owner=np.array(owner, dtype=np.int32),
         mailbox=mailbox,
+        external=tuple(external),
         propagate=_propagation(plan, where) if joint else (),
         outputs=tuple(_gets([p for p in connected if p.component == c], where) for c in components),
         inputs=tuple(
             _sets([(x.target, where[_key(x.source)]) for x in plan.connections if x.target.component == c])
             for c in components
         ),
-        listen=_listen(plan, layout, mailbox),
+        listen=_listen(plan, layout, mailbox, external),
         sample=tuple(
             transfer
             for c in components
@@ -167,7 +176,8 @@ class Wirings:
     def of(self, plan: AgentPlan) -> Wiring:
         """See `wire`. Planning hands agents alike the same parts, so that it suffices to ask whether they are."""
         parts = (plan.connections, plan.publish, plan.mailbox, plan.record, *(x.description for x in plan.components))
-        key = (*map(id, parts), plan.coupling.method, len(plan.neighbours))
+        external = tuple((x.port.component, x.port.variable.name) for x in plan.external)
+        key = (*map(id, parts), plan.coupling.method, len(plan.neighbours), external)
         if key not in self._known:
             self._known[key] = plan, wire(plan, self._layout)  # the plan stays alive, and with it its parts' identity
         return self._known[key][1]
@@ -221,8 +231,10 @@ def _mailbox_layout(n: int, layout: MessageLayout, offset: int) -> MailboxLayout
     return MailboxLayout(np.ascontiguousarray(values), stamp, time, weight)
 
 
-def _listen(plan: AgentPlan, layout: MessageLayout, mailbox: MailboxLayout) -> tuple[Transfer, ...]:
-    """The mailbox's inputs, grouped by component."""
+def _listen(
+    plan: AgentPlan, layout: MessageLayout, mailbox: MailboxLayout, external: Sequence[Positions]
+) -> tuple[Transfer, ...]:
+    """The inputs that the mailbox and the outside feed, grouped by component."""
     feeds = [
         (port, mailbox.values[:, layout.slices[name]].reshape(-1).astype(np.int32))
         for name, port in plan.mailbox.values.items()
@@ -234,6 +246,7 @@ def _listen(plan: AgentPlan, layout: MessageLayout, mailbox: MailboxLayout) -> t
     ):
         if special is not None:
             feeds.append((special, positions))
+    feeds += [(source.port, positions) for source, positions in zip(plan.external, external, strict=True)]
     feeds = [(port, positions) for port, positions in feeds if positions.size]
     return tuple(
         transfer

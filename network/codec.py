@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate, chain, pairwise
 from typing import Any
@@ -148,6 +148,29 @@ def decode_fates(n_agents: int, envelope: Envelope) -> list[Fates]:
     ]
 
 
+# --- values from outside ---------------------------------------------------------------------------------------
+def encode_external(taken: Mapping[int, Floats]) -> list[Part]:
+    """Values by the index of their subscription."""
+    indices = sorted(taken)
+    head = np.array([len(indices), *indices], "<i8")
+    return [head.data, *_joined([taken[index] for index in indices], "<f8")]
+
+
+def decode_external(sizes: Sequence[int], envelope: Envelope) -> tuple[dict[int, Floats], Envelope]:
+    """Values from outside at the beginning of a body, and the envelope with what follows them.
+
+    Args:
+        sizes: how many numbers each subscription has.
+        envelope: whose tick is that at which the values were taken.
+    """
+    reader = _Reader(envelope)
+    indices = reader.indices(len(sizes))
+    values = {index: reader.floats(sizes[index]) for index in indices}
+    for value in values.values():
+        reader.check(np.isfinite(value), "is not finite")
+    return values, replace(envelope, body=reader.left())
+
+
 # --- sent once ---------------------------------------------------------------------------------------------------
 def encode_object(content: Mapping[str, object]) -> list[Part]:
     """A JSON object in UTF-8."""
@@ -206,6 +229,23 @@ class _Reader:
     def ints(self, count: int) -> Ints:
         """The next `count` integers."""
         return self._take(count, "<i8")
+
+    def indices(self, n: int) -> list[int]:
+        """A count and as many indices below `n`, in their order."""
+        count = int(self.ints(1)[0])
+        indices: list[int] = self.ints(count).tolist() if 0 <= count <= n else [-1]
+        if any(not 0 <= index < n for index in indices) or sorted(set(indices)) != indices:
+            raise self._fail("names something that does not exist, or twice")
+        return indices
+
+    def floats(self, count: int) -> Floats:
+        """The next `count` numbers."""
+        values: Floats = self._take(count, "<f8")
+        return values
+
+    def left(self) -> memoryview:
+        """What was not read."""
+        return self._envelope.body[self._at :]
 
     def rest(self, count: int) -> Floats:
         """The remaining numbers, of which there must be `count`."""

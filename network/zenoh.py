@@ -1,4 +1,4 @@
-"""Endpoints over Zenoh: the hub's, and those of the processes that connect to it. Only this file imports `zenoh`.
+"""Endpoints over Zenoh: the hub's, and those of the processes that connect to it. Only this file and `plain` import it.
 
 Keys, joining and the rules behind the settings are in docs/protocol.md. Nothing of Zenoh is trusted to deliver: every
 message is numbered and checked by `network.envelope`, and every wait ends.
@@ -100,7 +100,8 @@ def _keys(run: str, namespace: str | None) -> _Keys:
     return _Keys("/".join(chunks))
 
 
-def _open(settings: Mapping[str, object]) -> zenoh.Session:
+def open_session(settings: Mapping[str, object]) -> zenoh.Session:
+    """A session with these settings of Zenoh, by path, over those that all of ours have."""
     config = zenoh.Config()
     for key, value in {**_SETTINGS, **settings}.items():
         config.insert_json5(key, json.dumps(value))
@@ -517,7 +518,7 @@ def open_hub(
     if connect:
         own = _connecting(connect, timeout)
     try:
-        session = _open({**own, **(settings or {})})
+        session = open_session({**own, **(settings or {})})
     except zenoh.ZError as error:
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
@@ -580,7 +581,7 @@ def _reach(
     while True:
         left = max(0.01, deadline - time.monotonic())
         try:
-            return _open({**_connecting(endpoints, min(left, _TRY)), **settings})
+            return open_session({**_connecting(endpoints, min(left, _TRY)), **settings})
         except zenoh.ZError as error:
             what = f"nobody answers at {', '.join(endpoints)}"
             if time.monotonic() >= deadline:

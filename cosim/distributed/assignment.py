@@ -85,14 +85,19 @@ def blocks(plan: Plan, workers: Mapping[str, Share]) -> dict[str, Block]:
 
 
 def window_ticks(plan: Plan) -> int:
-    """How many ticks the emulator may be ahead of what is recorded: bounds the memory of the rows under way."""
+    """How many ticks the emulator may be ahead of what is recorded: bounds the memory of the rows under way.
+
+    None where values come from outside: those of tick k are taken when tick k is recorded.
+    """
+    if plan.bridge.subscribe:
+        return 0
     per_tick = 8 * sum(port.variable.size for agent in plan.agents for _, port in agent.record) + 48 * len(plan.links)
     return max(_WINDOWS_PARTS, min(_WINDOW_TICKS, _WINDOW_BYTES // max(1, per_tick)))
 
 
 def batch_ticks(plan: Plan) -> int:
     """After how many ticks rows, fates and grants are sent on, if time does not ask for it earlier."""
-    return window_ticks(plan) // _WINDOWS_PARTS
+    return max(1, window_ticks(plan) // _WINDOWS_PARTS)
 
 
 def carried(plan: Plan, name: str, workers: Mapping[str, Share]) -> str:

@@ -14,7 +14,7 @@ from cosim.distributed.orchestration import Orchestration
 from cosim.distributed.processes import Processes
 from cosim.distributed.supervision import Supervisor
 from cosim.errors import ClusterError, CosimError
-from cosim.inline import Observer
+from cosim.inline import Observer, Take
 from cosim.pacing import Pacer
 from cosim.plan import Plan, Workers
 from cosim.scratch import Scratch
@@ -58,6 +58,7 @@ def run(  # noqa: PLR0917
     workers: int | Mapping[str, Share],
     observers: Sequence[Observer],
     stop_requested: Callable[[], bool] = lambda: False,
+    take: Take | None = None,
     step_deadline: float = STEP_DEADLINE,
     pacer: Pacer | None = None,
 ) -> None:
@@ -68,6 +69,7 @@ def run(  # noqa: PLR0917
         workers: how many workers carry the agents, or the agents of each.
         observers: told of every tick and every fate, in order, as by `cosim.inline.run`.
         stop_requested: asked a few times a second.
+        take: gives the values from outside that are new at a tick, as in `cosim.inline.run`.
         step_deadline: seconds in which some process must get further.
         pacer: holds the run back to the pace of the wall; without one, it runs as fast as it can.
 
@@ -82,7 +84,7 @@ def run(  # noqa: PLR0917
     with Scratch() as scratch, _hub(scratch) as (run_id, hub), Processes((EMULATOR, *workers)) as processes:
         processes.start(run_id, hub.endpoints[0], scratch)
         seers = observers if pacer is None else [*observers, pacer]
-        orchestration = Orchestration(plan, workers, seers, paced=pacer is not None)
+        orchestration = Orchestration(plan, workers, seers, take, paced=pacer is not None)
         supervisor = Supervisor(plan, workers, hub, processes, orchestration, stop_requested, step_deadline, pacer)
         supervisor.run()
 

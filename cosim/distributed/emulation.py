@@ -36,6 +36,8 @@ class Emulation:
         self._published = 0  # ticks of which all samples are in
         self._exchanged = 0  # ticks answered
         self._granted = 0
+        self._external: dict[int, list[Part]] = {}  # of ticks that are not answered
+        self._next_external = 0
         self._fates: list[Fates] = []
         self.finished = False
 
@@ -59,6 +61,10 @@ class Emulation:
                 self._collect(envelope)
             case Kind.GRANT:
                 self._granted = max(self._granted, min(envelope.tick, self._plan.ticks))
+                if self._plan.bridge.subscribe and self._granted > self._next_external:
+                    raise WireError(envelope.sender, f"no values from outside came for tick {self._next_external}")
+            case Kind.EXTERNAL:
+                self._take_external(envelope)
             case Kind.PING:
                 return [*self.flush(), self._position()]
             case Kind.BYE if envelope.sender == ORCHESTRATOR:
@@ -94,6 +100,15 @@ class Emulation:
             self._emulator.publish(tick, self._samples.pop(tick))
             self._published += 1
 
+    def _take_external(self, envelope: Envelope) -> None:
+        """Keep what was taken from outside at a tick until its mail is sent."""
+        sizes = [subscription.size for subscription in self._plan.bridge.subscribe]
+        taken, rest = codec.decode_external(sizes, envelope.expect(Kind.EXTERNAL, self._next_external))
+        if envelope.sender != ORCHESTRATOR or len(rest.body):
+            raise WireError(envelope.sender, "it sent values from outside that nobody awaits")
+        self._external[self._next_external] = codec.encode_external(taken)
+        self._next_external += 1
+
     def _answer(self) -> list[Message]:
         """The mail of every tick that can be answered."""
         messages: list[Message] = []
@@ -103,12 +118,13 @@ class Emulation:
             self._exchanged += 1
             self._fates.append(exchange.fates)
             messages += [Message(name, Kind.MAIL, tick, self._mail(name, exchange)) for name in self._workers]
+            self._external.pop(tick, None)
             if self._exchanged == self._plan.ticks:
                 messages += self._finish()
         return messages + self.flush() if len(self._fates) >= self._batch_ticks else messages
 
     def _mail(self, name: str, exchange: Exchange) -> list[Part]:
-        return codec.encode_mail(exchange.mail.of(self._workers[name]))
+        return [*self._external.get(exchange.tick, ()), *codec.encode_mail(exchange.mail.of(self._workers[name]))]
 
     def _finish(self) -> list[Message]:
         """The last fates, and those of what is still in flight, which go under the last tick."""

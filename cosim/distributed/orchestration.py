@@ -15,7 +15,7 @@ import numpy as np
 
 from cosim.distributed.assignment import EMULATOR, Job, Message, Share, batch_ticks, blocks, window_ticks
 from cosim.distributed.failure import Failure
-from cosim.inline import Observer
+from cosim.inline import Observer, Take
 from cosim.master import Finish, Master
 from cosim.plan import Plan
 from network import codec
@@ -48,11 +48,18 @@ class Orchestration:
         plan: what runs.
         workers: the agents of every worker.
         observers: told of every tick and every fate, in order.
+        take: gives the values from outside that are new at a tick, as in `cosim.inline.run`.
         paced: whether ticks wait for `release`.
     """
 
     def __init__(
-        self, plan: Plan, workers: Mapping[str, Share], observers: Sequence[Observer], *, paced: bool = False
+        self,
+        plan: Plan,
+        workers: Mapping[str, Share],
+        observers: Sequence[Observer],
+        take: Take | None = None,
+        *,
+        paced: bool = False,
     ) -> None:
         self._plan = plan
         self._workers = dict(workers)
@@ -62,6 +69,8 @@ class Orchestration:
         numbers = np.repeat(indices, [width for block in self._wire.values() for width in block.widths])
         self._order = None if indices == sorted(indices) else np.argsort(numbers, kind="stable")  # of a row as it comes
         self._observers = observers
+        self._take = take
+        self._external: list[Message] = []  # what was taken since the last grant
         self._master = Master([0] * len(workers), 0, plan.ticks)
         self._unready = {EMULATOR, *workers}
         self._rows: dict[str, deque[Floats]] = {name: deque() for name in workers}
@@ -210,6 +219,9 @@ class Orchestration:
             observer.tick(tick, row)
         self.recorded = tick
         self._rows_done = True
+        if self._plan.bridge.subscribe and not self._over:
+            taken = self._take(tick) if self._take is not None else {}
+            self._external.append(Message(EMULATOR, Kind.EXTERNAL, tick, codec.encode_external(taken)))
 
     def _raise_failure(self) -> None:
         """Raise the first failure once nobody can come to an earlier one, and all before it is recorded."""
@@ -234,7 +246,8 @@ class Orchestration:
         enough = 1 if self._paced else batch_ticks(self._plan)
         if tick - self._granted >= enough or (tick == self._plan.ticks > self._granted):
             self._granted = tick
-            return [Message(EMULATOR, Kind.GRANT, tick)]
+            external, self._external = self._external, []
+            return [*external, Message(EMULATOR, Kind.GRANT, tick)]
         return []
 
     def blockage(self) -> Blockage:

@@ -33,6 +33,7 @@ class Worker:
         self._batch_ticks = batch_ticks(plan)
         self._agents: Agents | None = None
         self._wire = blocks(plan, workers)[name]
+        self._sizes = [subscription.size for subscription in plan.bridge.subscribe]
         self._rows: list[Floats] = []
         self._tick = 0
         self._started = self._failed = False
@@ -77,7 +78,10 @@ class Worker:
         envelope.expect(Kind.MAIL, self._tick)
         if self._tick == self._plan.ticks:
             raise WireError(envelope.sender, f"mail of tick {self._tick}, at which the run ends")
-        return self._advance(codec.decode_mail(self._wire, envelope))
+        taken: Mapping[int, Floats] = {}
+        if self._sizes:
+            taken, envelope = codec.decode_external(self._sizes, envelope)
+        return self._advance(codec.decode_mail(self._wire, envelope), taken)
 
     def flush(self) -> list[Message]:
         """Hand over the rows that are held back."""
@@ -92,9 +96,9 @@ class Worker:
         if self._agents is not None:
             self._agents.terminate()
 
-    def _advance(self, mail: Mail) -> list[Message]:
+    def _advance(self, mail: Mail, taken: Mapping[int, Floats]) -> list[Message]:
         try:
-            self._opened.advance(self._tick, mail)
+            self._opened.advance(self._tick, mail, taken)
         except RunError as error:
             return self._fail(Failure(self._tick, self._index_of(error), error))
         self._tick += 1

@@ -13,6 +13,7 @@ from cosim.errors import Problem
 from cosim.plan import AgentPlan, AnalysisPlan, ComponentPlan, MailboxPlan, Method, Plan
 from cosim.planning.analysis import Member, plan_analysis
 from cosim.planning.blueprint import Blueprint, draw_up
+from cosim.planning.bridge import Bridged, plan_bridge
 from cosim.planning.coupling import warn_of_order
 from cosim.planning.describing import Describer
 from cosim.planning.division import plan_workers
@@ -71,10 +72,14 @@ def plan(scenario: Scenario) -> Planned:
     workers = plan_workers(scenario, problems)
     blueprints = _blueprints(scenario, edges, problems)
     message = _message(scenario, blueprints, edges, problems)
+    bridged = plan_bridge(scenario, blueprints, problems)
+    names_of: dict[int, list[str]] = {}
+    for name, blueprint in blueprints.items():
+        names_of.setdefault(id(blueprint), []).append(name)
     mailboxes = {}
     for blueprint in _each_once(blueprints.values()):
         problems.next_view()
-        mailboxes[id(blueprint)] = mailbox_of(blueprint, message)
+        mailboxes[id(blueprint)] = mailbox_of(blueprint, message, bridged.feeds(names_of[id(blueprint)]))
     members = [
         Member(name, tuple(_components(name, blueprint, scenario.spec.seed)), blueprint.record)
         for name, blueprint in blueprints.items()
@@ -85,7 +90,7 @@ def plan(scenario: Scenario) -> Planned:
     problems.raise_if_any()
     add_warnings(scenario, edges, analysis.leaders, problems)
     layout = MessageLayout(tuple(message), tuple(variable.size for variable in message.values() if variable))
-    agents = tuple(_agents(members, blueprints, mailboxes, edges, layout))
+    agents = tuple(_agents(members, blueprints, mailboxes, bridged, edges, layout))
     _check_feedthrough(agents, blueprints, layout, problems)
     problems.raise_if_any()
     used = {edge.channel for edge in edges}
@@ -104,6 +109,7 @@ def plan(scenario: Scenario) -> Planned:
         analysis=analysis,
         scenario=resolved_text(scenario, agents, [blueprints[agent.name] for agent in agents], edges, workers),
         workers=workers,
+        bridge=bridged.plan,
     )
     return Planned(planned, problems.warnings)
 
@@ -163,10 +169,11 @@ def _message(
     return message
 
 
-def _agents(
+def _agents(  # noqa: PLR0917
     members: Sequence[Member],
     blueprints: Mapping[str, Blueprint],
     mailboxes: Mapping[int, MailboxPlan],
+    bridged: Bridged,
     edges: Sequence[Edge],
     layout: MessageLayout,
 ) -> Iterable[AgentPlan]:
@@ -194,6 +201,7 @@ def _agents(
             weights=tuple(edge.weight for edge in edges_in),
             coupling=blueprint.coupling,
             record=member.record,
+            external=bridged.external.get(member.name, ()),
         )
 
 

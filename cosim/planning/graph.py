@@ -59,14 +59,15 @@ def links_of(edges: Sequence[Edge], agents: Sequence[str]) -> Links:
 
 def _pairs(scenario: Scenario, spec: EdgeSpec, node: Node, problems: Problems) -> Iterator[tuple[str, str]]:
     """The edges that one line stands for; ranges and lists stand for every pair but an agent and itself."""
-    senders = _known(scenario, spec.from_, node.locate("from"), problems)
-    receivers = _known(scenario, spec.to, node.locate("to"), problems)
+    senders = known_agents(scenario, spec.from_, node.locate("from"), problems)
+    receivers = known_agents(scenario, spec.to, node.locate("to"), problems)
     if senders == receivers and len(senders) == 1:
         problems.error(f"the edge '{senders[0]} -> {receivers[0]}' joins an agent to itself", node.where)
     yield from ((sender, receiver) for sender in senders for receiver in receivers if sender != receiver)
 
 
-def _known(scenario: Scenario, text: str, where: Location, problems: Problems) -> list[str]:
+def known_agents(scenario: Scenario, text: str, where: Location, problems: Problems) -> list[str]:
+    """The agents of a name, range or list; those that do not exist become problems."""
     names = list(agent_names(text))
     for name in names:
         if name not in scenario.agents and not scenario.doubts.about_agent(name):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from cosim.components.component import Variable, head
 from cosim.errors import Location, suggest
@@ -13,12 +13,17 @@ from cosim.planning.problems import Problems
 from cosim.scenario.spec import MAILBOX_PORTS, PARAMETER_PORTS
 
 
-def mailbox_of(blueprint: Blueprint, message: Mapping[str, Variable | None]) -> MailboxPlan:
+def mailbox_of(
+    blueprint: Blueprint,
+    message: Mapping[str, Variable | None],
+    outside: Collection[tuple[int, str]] = (),
+) -> MailboxPlan:
     """Which inputs the mailbox feeds.
 
     Args:
         blueprint: of the receivers.
         message: the variables that every agent publishes, by name; None for one that was reported already.
+        outside: inputs, by component and name, that the bridge feeds.
     """
     receive, fed, problems = blueprint.entry.spec.receive, _fed(blueprint), blueprint.ports.problems
     feeding: dict[str, Port] = {}
@@ -40,7 +45,7 @@ def mailbox_of(blueprint: Blueprint, message: Mapping[str, Variable | None]) -> 
             continue
         if (rows := _rows(blueprint, port, name, source, where)) is not None:
             feeding[name] = rows
-    _warn_unconnected(blueprint, fed)
+    _warn_unconnected(blueprint, fed, outside)
     if not blueprint.n_neighbours:
         return MailboxPlan({}, None, None, None)
     values = {name: port for name, port in feeding.items() if name not in MAILBOX_PORTS}
@@ -104,9 +109,9 @@ def _report_size(blueprint: Blueprint, port: Port, width: int, where: Location) 
         problems.error(f"{reference!r} takes {numbers(size)}, but {hears} receives {n} x {width}", where)
 
 
-def _warn_unconnected(blueprint: Blueprint, fed: Mapping[str, Location]) -> None:
+def _warn_unconnected(blueprint: Blueprint, fed: Mapping[str, Location], outside: Collection[tuple[int, str]]) -> None:
     """An input that nothing feeds keeps its start value; without a word in the file that is rarely meant."""
-    for part in blueprint.parts:
+    for index, part in enumerate(blueprint.parts):
         loose = [
             variable.name
             for variable in part.description.variables.values()
@@ -114,6 +119,7 @@ def _warn_unconnected(blueprint: Blueprint, fed: Mapping[str, Location]) -> None
             and variable.size
             and f"{part.name}.{variable.name}" not in fed
             and variable.name not in part.start
+            and (index, variable.name) not in outside
         ]
         if loose:
             inputs = ", ".join(f"'{part.name}.{name}'" for name in loose)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
 from cosim.components.component import Value, Variable
-from cosim.plan import AgentPlan, Loop, Workers
+from cosim.plan import EXTERNAL, AgentPlan, Loop, Workers
 from cosim.planning.blueprint import Blueprint
 from cosim.planning.describing import is_file
 from cosim.planning.graph import Edge
+from cosim.planning.starts import INTEGERS
 from cosim.scenario.names import agent_names, in_short
 from cosim.scenario.reading import Scenario
 from cosim.scenario.source import Lines, dump
+from cosim.scenario.spec import BridgeSpec, SubscriptionSpec
 from network.units import format_duration
 
 Tree = dict[str, Any]
@@ -50,6 +52,7 @@ def resolved_text(
         "channels": {n: m.model_dump(mode="json") for n, m in spec.channels.items() if n in used},
         "analysis": spec.analysis.model_dump(mode="json", by_alias=True, exclude_unset=True),
         "workers": _workers(agents, workers),
+        "bridge": _bridge(spec.bridge, agents),
     }
     return dump({key: value for key, value in tree.items() if value not in ({}, "", None)})
 
@@ -199,3 +202,34 @@ def _edge(edge: Edge, *, weighted: bool, named: bool) -> str | Tree:
     if named:
         tree["channel"] = edge.channel
     return tree
+
+
+def _bridge(spec: BridgeSpec, agents: Sequence[AgentPlan]) -> Tree:
+    """The bridge, its start values as numbers; what was taken from outside is replayed."""
+    tree: Tree = {
+        "listen": spec.listen,
+        "connect": spec.connect,
+        "publish": [entry.model_dump(mode="json", exclude_unset=True) for entry in spec.publish],
+        "subscribe": [tree for entry in spec.subscribe for tree in _subscriptions(entry, agents)],
+        "replay": EXTERNAL if spec.subscribe else None,
+    }
+    return {key: value for key, value in tree.items() if value}
+
+
+def _subscriptions(entry: SubscriptionSpec, agents: Sequence[AgentPlan]) -> Iterator[Tree]:
+    """One entry for all agents that have the same start value."""
+    wanted = None if entry.agents is None else frozenset(agent_names(entry.agents))
+    starts: dict[tuple[Value, ...], list[str]] = {}
+    shape: tuple[int, ...] = ()
+    for agent in agents:
+        if wanted is not None and agent.name not in wanted:
+            continue
+        for external in agent.external:
+            variable = external.port.variable
+            if f"{agent.components[external.port.component].name}.{variable.name}" == entry.variable:
+                kind = bool if variable.dtype == "Boolean" else int if variable.dtype in INTEGERS else float
+                starts.setdefault(tuple(map(kind, external.start)), []).append(agent.name)
+                shape = variable.shape
+    for start, names in starts.items():
+        tree = {"key": entry.key, "agents": in_short(names), "variable": entry.variable}
+        yield {**tree, "start": list(start) if shape else start[0], "encoding": entry.encoding}

@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 from cosim.errors import CosimError
-from cosim.plan import Plan
+from cosim.plan import EXTERNAL, Plan
 from cosim.recording import manifest
+from cosim.recording.external import LOG, ExternalLog, convert
 from cosim.recording.lock import RUN, FolderLock, Held
 from cosim.recording.manifest import (
     DELIVERIES,
@@ -86,6 +87,7 @@ class Recorder:
         self._kept = 0  # rows of the block in use
         self._fates: list[Ints] = []
         self._n_fates = 0
+        self._external: ExternalLog | None = None
         self._failure: RecordingError | None = None
         self._full: OSError | None = None  # for which the spool was given up
 
@@ -158,6 +160,18 @@ class Recorder:
         if self._n_fates >= FATES_AT_ONCE:
             self._flush()
 
+    def external(self, tick: int, taken: Mapping[int, Floats]) -> None:
+        """Record what was taken from outside at a tick, before it is used.
+
+        Raises:
+            RecordingError: the disk is full.
+        """
+        if taken and self._external is not None:
+            try:
+                self._external.add(tick, taken)
+            except OSError as error:
+                raise self._error(self.folder / EXTERNAL, error) from None
+
     def close(self, status: str) -> str:
         """Write what is left, end both files and bring the manifest up to date.
 
@@ -173,7 +187,7 @@ class Recorder:
         """
         wall = time.perf_counter() - self._started
         failures: list[CosimError] = []
-        for step in (self._write, self._close_files):
+        for step in (self._write, self._close_files, self._close_external):
             try:
                 step()
             except RecordingError as error:
@@ -269,6 +283,10 @@ class Recorder:
         undo.callback(self._tables.abandon)
         self._spool = Spool(self.folder, self._layout, self._tables)
         undo.callback(self._spool.close)
+        if self._plan.bridge.subscribe:
+            undo.callback((self.folder / LOG).unlink, missing_ok=True)
+            self._external = ExternalLog(self.folder, self._plan.bridge.subscribe)
+            undo.callback(self._external.close)
         self._write_manifest(Status.RUNNING)  # the last of all: it says that there is something to recover
 
     def _close_files(self) -> None:
@@ -276,6 +294,15 @@ class Recorder:
             self._tables.close()
         except OSError as error:
             raise RecordingError(f"cannot write {error.filename or self.folder}: {error.strerror or error}") from error
+
+    def _close_external(self) -> None:
+        if self._external is None:
+            return
+        self._external.close()
+        try:
+            convert(self.folder)
+        except OSError as error:
+            raise RecordingError(f"cannot write {self.folder / EXTERNAL}: {error.strerror or error}") from error
 
     def _write_manifest(self, status: str, wall: float | None = None, digest: str | None = None) -> None:
         outcome = manifest.with_outcome(self._manifest, status, self._tables.ticks if digest else 0, wall, digest)

@@ -17,6 +17,7 @@ import numpy as np
 
 from cosim.errors import ConfigError
 from cosim.recording import spool
+from cosim.recording.external import convert
 from cosim.recording.lock import RECOVERY, RUN, FolderLock, Held, look
 from cosim.recording.manifest import (
     DELIVERIES,
@@ -61,6 +62,7 @@ def recover(folder: Path, patience: float = 0.0) -> Mapping[str, Any]:
         raise _refusal(folder, error) from None
     try:
         manifest: Mapping[str, Any] = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        convert(folder)
         if manifest["status"] == Status.RUNNING:
             manifest = _rebuild(folder, manifest)
         for name in HIDDEN:

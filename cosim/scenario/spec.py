@@ -27,6 +27,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 from typing_extensions import TypeAliasType
 
+from cosim.errors import suggest
 from cosim.scenario.names import agent_names, scenario_name
 from network.envelope import check_name
 from network.models import AnyChannelModel
@@ -338,6 +339,80 @@ WorkersSpec: TypeAlias = Annotated[
 ]
 
 
+# --- bridge -----------------------------------------------------------------------------------------------------------
+
+
+def _check_key(text: str) -> str:
+    unfilled = text.replace("{agent}", "a")
+    if bad := next((character for character in "*$?#{}" if character in unfilled), None):
+        hint = (
+            "'{agent}' stands for the agent's name" if bad in "{}" else "it must be a single key, without any of *$?#"
+        )
+        raise ValueError(f"the key {text!r} has a {bad!r}; {hint}")
+    if not unfilled.isprintable() or not all(unfilled.split("/")) or len(text) > _LONGEST_KEY:
+        raise ValueError(f"{text!r} is no key; write words between single slashes, such as 'lab/{{agent}}/p'")
+    first = unfilled.partition("/")[0]
+    if first == "netcosim" or any(chunk.startswith("@") for chunk in unfilled.split("/")):
+        raise ValueError(f"the key {text!r} is kept for Zenoh and for runs; begin it with another word")
+    return text
+
+
+_LONGEST_KEY = 1024
+PlainKey: TypeAlias = Annotated[
+    str,
+    AfterValidator(_check_key),
+    WithJsonSchema({"type": "string", "pattern": "^[^*$?#/]+(/[^*$?#/]+)*$", "examples": ["lab/{agent}/p"]}),
+]
+
+
+def _check_endpoint(text: str) -> str:
+    protocol, slash, address = text.partition("/")
+    if not slash or not address:
+        raise ValueError(f"{text!r} is no endpoint of Zenoh; write 'tcp/127.0.0.1:7447'")
+    if protocol not in _PROTOCOLS:
+        raise ValueError(f"unknown protocol {protocol!r}{suggest(protocol, _PROTOCOLS)}")
+    return text
+
+
+_PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream", "vsock", "serial")
+Endpoint: TypeAlias = Annotated[str, AfterValidator(_check_endpoint), WithJsonSchema({"type": "string"})]
+
+
+class PublicationSpec(Spec):
+    """A variable that others can read at every tick."""
+
+    key: PlainKey = Field(description="Zenoh key; '{agent}' in it stands for the agent's name.")
+    variable: Reference = Field(description="One of those that are recorded.")
+    agents: Agents | None = Field(None, description="An agent, a range or a list; every agent by default.")
+    encoding: Literal["json", "float64", "cdr"] = "json"
+
+
+class SubscriptionSpec(Spec):
+    """An input that others set: at every tick the newest value that has come, held until the next tick."""
+
+    key: PlainKey = Field(description="Zenoh key; '{agent}' in it stands for the agent's name.")
+    variable: Reference = Field(description="An input that nothing else feeds.")
+    agents: Agents | None = Field(None, description="An agent, a range or a list; every agent by default.")
+    start: StartValue | None = Field(
+        None, description="The value until the first one comes; by default the component's own."
+    )
+    encoding: Literal["json", "float64", "cdr"] = "json"
+
+
+class BridgeSpec(Spec):
+    """What a run publishes for others on plain Zenoh keys, and takes from them; see docs/bridge.md."""
+
+    publish: list[PublicationSpec] = []
+    subscribe: list[SubscriptionSpec] = []
+    listen: list[Endpoint] = Field(
+        [], description="Where others connect; tcp/127.0.0.1:7447 if neither this nor connect is given."
+    )
+    connect: list[Endpoint] = Field([], description="Routers to connect to, such as tcp/192.168.0.7:7447.")
+    replay: str | None = Field(
+        None, description="external.parquet of an earlier run, relative to this file, instead of the outside."
+    )
+
+
 # --- the whole --------------------------------------------------------------------------------------------------------
 
 
@@ -364,6 +439,7 @@ class ScenarioSpec(Spec):
         description="Of a run across processes: how many carry the agents ('per-agent': one each), or which agents "
         "each of them carries, by name. Results do not depend on it.",
     )
+    bridge: BridgeSpec = BridgeSpec()
 
 
 def json_schema() -> dict[str, Any]:

@@ -1,0 +1,76 @@
+"""A recording in place of the outside."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.bridge import Taken
+from cosim.components.component import Floats
+from cosim.errors import ConfigError, Location, Problem, suggest
+from cosim.plan import Subscription
+from cosim.recording.table import numbers
+from network.messages import Fates
+
+
+class Replay:
+    """Takes at every tick what an earlier run took, and publishes nothing; see `cosim.bridge.Bridge`.
+
+    Args:
+        path: `external.parquet` of that run.
+        subscribe: the keys; one that is not in the recording never brings anything.
+
+    Raises:
+        ConfigError: the file cannot be used.
+    """
+
+    def __init__(self, path: Path, subscribe: Sequence[Subscription]) -> None:
+        self._path = path
+        self.where = f"replays {path}"
+        self._values: dict[int, dict[int, Floats]] = {}
+        ticks, keys, values = self._read()
+        index_of = {subscription.key: index for index, subscription in enumerate(subscribe)}
+        for tick, key, row in zip(ticks.tolist(), keys, values, strict=True):
+            if key not in index_of:
+                raise self._problem(f"nothing subscribes to {key!r}{suggest(key, index_of)}")
+            size = subscribe[index_of[key]].size
+            if not np.isfinite(row[:size]).all() or not np.isnan(row[size:]).all():
+                raise self._problem(f"at tick {tick}, {key!r} has other than {size} finite numbers")
+            self._values.setdefault(tick, {})[index_of[key]] = row[:size].copy()
+
+    def _problem(self, message: str) -> ConfigError:
+        return ConfigError([Problem(f"cannot be replayed: {message}", Location(str(self._path)))])
+
+    def _read(self) -> tuple[Any, list[str], Floats]:
+        """Ticks, keys and rows of values, NaN where there are none."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        try:
+            table = pq.read_table(self._path)
+            columns = [name for name in table.column_names if name.startswith("value[")]
+            ticks, keys = numbers(table["tick"]), table["key"].to_pylist()
+            values = (
+                np.stack([numbers(table[name]) for name in columns], axis=1) if columns else np.zeros((len(keys), 0))
+            )
+        except FileNotFoundError:
+            raise self._problem("there is no such file") from None
+        except (OSError, KeyError, pa.ArrowException) as error:
+            raise self._problem(f"it is no table of ticks, keys and values ({str(error).splitlines()[0]})") from error
+        return ticks, keys, values
+
+    def take(self, tick: int) -> Taken:
+        values: Mapping[int, Floats] = self._values.get(tick, {})
+        return values
+
+    def tick(self, tick: int, row: Floats) -> None:
+        """Nothing is published."""
+
+    def fates(self, fates: Fates) -> None:
+        """Not needed."""
+
+    def account(self) -> list[str]:
+        return [f"replayed new values of {len(self._values)} ticks"]
