@@ -51,8 +51,9 @@ def main(args: argparse.Namespace) -> int:
     if absent := check.absent(plan):
         raise ConfigError([*absent, Problem("cosim serve runs this, with workers that have the whole files")])
     pacer = _pacer(args, plan)
-    play, details = _way_to_play(args, plan, pacer)
-    recorder = Recorder(plan, run_folder(plan.name, args.out), details)
+    folder = run_folder(plan.name, args.out)
+    play, details = _way_to_play(args, plan, pacer, folder)
+    recorder = Recorder(plan, folder, details)
     summary = _Summary(plan, pacer)
     stop = StopRequest()
     with (
@@ -117,7 +118,9 @@ def _accounted(pacer: Pacer | None, recorder: Recorder) -> Iterator[None]:
             pacer.say_total()
 
 
-def _way_to_play(args: argparse.Namespace, plan: Plan, pacer: Pacer | None) -> tuple[_Play, dict[str, Any]]:
+def _way_to_play(
+    args: argparse.Namespace, plan: Plan, pacer: Pacer | None, folder: Path
+) -> tuple[_Play, dict[str, Any]]:
     """In this process, or across several; and what the manifest says of it."""
     if not args.distributed:
         if args.workers is not None:
@@ -126,7 +129,7 @@ def _way_to_play(args: argparse.Namespace, plan: Plan, pacer: Pacer | None) -> t
     from cosim.distributed import cluster
 
     workers = cluster.division(plan, args.workers)
-    play = partial(cluster.run, plan, workers, step_deadline=args.step_deadline, pacer=pacer)
+    play = partial(cluster.run, plan, workers, step_deadline=args.step_deadline, pacer=pacer, folder=folder)
     return play, {"distributed": {"workers": len(workers)}}
 
 

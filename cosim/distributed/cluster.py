@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from cosim.distributed.assignment import EMULATOR, Share, divide, share_of
+from cosim.distributed.inheritance import leave_word
 from cosim.distributed.orchestration import Orchestration
 from cosim.distributed.processes import Processes
 from cosim.distributed.supervision import Supervisor
@@ -61,6 +62,7 @@ def run(  # noqa: PLR0917
     take: Take | None = None,
     step_deadline: float = STEP_DEADLINE,
     pacer: Pacer | None = None,
+    folder: Path | None = None,
 ) -> None:
     """Play a plan in processes of their own: an emulator and workers.
 
@@ -72,6 +74,7 @@ def run(  # noqa: PLR0917
         take: gives the values from outside that are new at a tick, as in `cosim.inline.run`.
         step_deadline: seconds in which some process must get further.
         pacer: holds the run back to the pace of the wall; without one, it runs as fast as it can.
+        folder: the run folder, for the emulator to bring in order if this process is killed.
 
     Raises:
         RunError: a component failed.
@@ -82,6 +85,8 @@ def run(  # noqa: PLR0917
     if isinstance(workers, int):
         workers = divide(len(plan.agents), workers)
     with Scratch() as scratch, _hub(scratch) as (run_id, hub), Processes((EMULATOR, *workers)) as processes:
+        if folder is not None:
+            leave_word(scratch, folder)
         processes.start(run_id, hub.endpoints[0], scratch)
         seers = observers if pacer is None else [*observers, pacer]
         orchestration = Orchestration(plan, workers, seers, take, paced=pacer is not None)

@@ -23,6 +23,7 @@ from typing import NoReturn, Protocol
 from cosim.distributed.assignment import EMULATOR, ORCHESTRATOR, Job, Message
 from cosim.distributed.emulation import Emulation
 from cosim.distributed.failure import OPENING, Failure
+from cosim.distributed.inheritance import bequest, inherit
 from cosim.distributed.worker import Worker
 from cosim.errors import ClusterError, CosimError
 from network.transport import Endpoint, Envelope, Kind, PeerLost, Refused, TransportTimeout, WireError
@@ -138,7 +139,9 @@ def _await_farewell(endpoint: Endpoint) -> None:
 def main(args: argparse.Namespace) -> NoReturn:
     """What `cosim` starts for every worker and for the emulator; see `cosim.distributed.cluster`."""
     tempfile.tempdir = str(args.scratch)
-    threading.Thread(target=_guard, args=(args.scratch,), name="guard", daemon=True).start()
+    orphaned, folder = threading.Event(), bequest(args.scratch, args.name)
+    guard = threading.Thread(target=_guard, args=(args.scratch, folder, orphaned), name="guard", daemon=True)
+    guard.start()
     from network.zenoh import connect
 
     code = 0
@@ -150,15 +153,22 @@ def main(args: argparse.Namespace) -> NoReturn:
     except (Refused, TransportTimeout) as error:
         print(f"error: {args.name} cannot join the run: {error}", file=sys.stderr)
         code = EXIT_ORPHANED
+    if code == EXIT_ORPHANED and folder is not None and orphaned.wait(_GRACE_SECONDS):
+        guard.join()  # it ends the process, when it has done all that is to be done
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)  # closing a session can take seconds while others of the run close theirs, and nothing needs it
 
 
-def _guard(scratch: Path) -> None:
+def _guard(scratch: Path, folder: Path | None, orphaned: threading.Event) -> None:
     """End the process once the orchestrator is gone, whatever its main thread is doing."""
     while os.read(0, 1):
         pass
-    time.sleep(_GRACE_SECONDS)
+    if folder is None:
+        time.sleep(_GRACE_SECONDS)
+    orphaned.set()
+    with suppress(Exception):  # nobody is left to be told
+        if folder is not None:
+            inherit(folder, EXIT_ORPHANED)
     shutil.rmtree(scratch, ignore_errors=True)  # the orchestrator cannot do it any more
     os._exit(EXIT_ORPHANED)

@@ -35,6 +35,9 @@ from cosim.recording.table import indices, numbers
 from cosim.recording.tables import FATE_NAMES, Layout, RunTables
 from network.units import to_seconds
 
+KILLED = "the process that recorded it was killed"
+"""What the manifest says of such a run."""
+
 _RECOVERY_SECONDS = 600.0
 _POLL_SECONDS = 0.02
 
@@ -122,7 +125,7 @@ def _rebuild(folder: Path, manifest: Mapping[str, Any]) -> Mapping[str, Any]:
         raise
     reached = to_seconds((tables.ticks - 1) * left.layout.period_ns)
     until = f"; recorded until t = {reached:.9g} s" if tables.ticks else " before the first tick"
-    status = f"{Status.ABORTED}: the process that recorded it was killed{until}"
+    status = f"{Status.ABORTED}: {KILLED}{until}"
     manifest = with_outcome(manifest, status, tables.ticks, digest=digest_of(folder, left.layout))
     write_atomically(folder / MANIFEST, to_json(manifest))
     return manifest

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import re
 import signal
 import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from cosim.distributed import cluster
@@ -98,6 +102,24 @@ def assert_begins(record: Record, whole: Record) -> None:
     assert record.calls == whole.calls[: len(record.calls)]
     assert record.ticks == whole.ticks[: len(record.ticks)]
     assert record.fates_of == whole.fates_of[: len(record.fates_of)]
+
+
+def assert_begins_on_disk(folder: Path, text: str, said: str) -> None:
+    """The run folder of an orchestrator that was killed is readable by anybody, and the user has been told."""
+    status = manifest(folder)["status"]
+    pattern = r"aborted: the process that recorded it was killed(; recorded until t = \S+ s| before the first tick)"
+    assert re.fullmatch(pattern, status)
+    assert f"{status.removeprefix('aborted: ')}; everything until then is in {folder}" in said
+    assert not list(folder.glob(".*"))
+    rows, fates = (pq.read_table(folder / f"{name}.parquet") for name in ("trajectories", "deliveries"))
+    plan = planned(text)
+    n_ticks = len(rows) // len(plan.agents)
+    whole, _ = in_process(replace(plan, ticks=max(1, n_ticks)))
+    values = np.stack([rows.column(f"node.x[{i}]").to_numpy() for i in (1, 2)], axis=1)
+    assert values.tobytes() == b"".join(row for _, row in whole.ticks[:n_ticks])
+    known = [stamp for fates_of in whole.fates_of[:n_ticks] for stamp in fates_of["stamp"]][: len(fates)]
+    assert fates.column("stamp").to_pylist() == known
+    assert manifest(folder)["ticks"]["done"] == max(0, n_ticks - 1)
 
 
 # --- results ----------------------------------------------------------------------------------------------------------
@@ -273,6 +295,38 @@ def test_orchestrator_that_is_killed_takes_all_with_it(others: dict[int, tuple[s
     assert done.returncode == -signal.SIGKILL
     assert "Traceback" not in done.stderr
     assert_nothing_left(tmp_path)
+    assert_begins_on_disk(tmp_path / "out", scenario(3, ring(3), "late", ticks=50), done.stderr)
+
+
+@pytest.mark.parametrize("tick", random.choices(range(400), k=2))
+def test_orchestrator_that_is_killed_from_outside_leaves_all_it_had(tick: int, tmp_path: Path) -> None:
+    text = scenario(4, ring(4), "slack", ticks=20_000)
+    (tmp_path / "net.yaml").write_text(text)
+    run = f"""
+import os, signal, sys
+from cosim import cli
+from cosim.recording.recorder import Recorder
+record = Recorder.tick
+def kill(self, tick, row):
+    record(self, tick, row)
+    if tick == {tick}:
+        os.kill(os.getpid(), signal.SIGKILL)
+Recorder.tick = kill
+cli.main(["run", "net.yaml", "--distributed", "--workers", "2", "--out", "out", "--no-report", "--quiet"])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", run],
+        cwd=tmp_path,
+        env=environment(tmp_path),
+        text=True,
+        capture_output=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    assert_nothing_left(tmp_path)
+    assert pq.read_table(tmp_path / "out" / "trajectories.parquet").num_rows == 4 * (tick + 1)
+    assert_begins_on_disk(tmp_path / "out", text, done.stderr)
 
 
 # --- arguments --------------------------------------------------------------------------------------------------------
