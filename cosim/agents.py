@@ -20,7 +20,7 @@ from cosim.mailbox import Mailboxes
 from cosim.memory import LoopMemory
 from cosim.plan import AgentPlan, Loop, Plan
 from cosim.wiring import Wirings
-from network.messages import Mail
+from network.messages import Ints, Mail
 
 if TYPE_CHECKING:
     from cosim.kernel import NativeBlock
@@ -34,14 +34,17 @@ class Agents:
     Args:
         plan: of the whole run.
         own: which of its agents; all of them by default.
+        attended: (1,) kept up to date for whoever looks at it from outside: which of `own` is being initialised or
+            advanced, -1 for none.
 
     Raises:
         ConfigError: a component cannot be opened; none is left open.
         RunError: a component refuses.
     """
 
-    def __init__(self, plan: Plan, own: Sequence[AgentPlan] | None = None) -> None:
+    def __init__(self, plan: Plan, own: Sequence[AgentPlan] | None = None, attended: Ints | None = None) -> None:
         self._plan = plan
+        self._attended = np.full(1, -1) if attended is None else attended
         own = plan.agents if own is None else own
         wirings = Wirings(plan.layout)
         wired = [wirings.of(agent) for agent in own]
@@ -70,8 +73,10 @@ class Agents:
         Raises:
             RunError: a component failed.
         """
-        for agent in self._agents:
+        for index, agent in enumerate(self._agents):
+            self._attended[0] = index
             agent.initialise(self._plan.ticks * self._plan.period_ns)
+        self._attended[0] = -1
 
     def samples(self) -> Floats:
         """(n_agents, width) what the agents publish at the current tick; zero where nobody hears one."""
@@ -101,7 +106,9 @@ class Agents:
             for place, index in enumerate(self._by_themselves):
                 if failed and failed.index < index:
                     break
+                self._attended[0] = index
                 self._agents[index].advance(tick, updates, place)
+        self._attended[0] = -1
         if failed:
             raise self._agents[failed.index].failure(failed.error) from failed.error
 
@@ -119,7 +126,7 @@ class Agents:
 
         found = [self._agents[i] for i in members]
         native = [Member(i, a.wiring, a.components, a.plan.coupling) for i, a in zip(members, found, strict=True)]
-        return NativeBlock(native, self._memory, self._plan.period_ns)
+        return NativeBlock(native, self._memory, self._plan.period_ns, self._attended)
 
     def _with_first_signal(self) -> Iterator[tuple[Agent, int]]:
         return zip(self._agents, self._memory.first_signal[:-1].tolist(), strict=True)

@@ -211,6 +211,11 @@ def _parser() -> argparse.ArgumentParser:
         help="processes that carry the agents, or 'per-agent' (default: the scenario's, else cores)",
     )
     across.add_argument(
+        "--on-worker-loss",
+        choices=("abort", "restart"),
+        help="end the run, or replace a worker that is killed, ends or hangs (default: the scenario's, or abort)",
+    )
+    across.add_argument(
         "--step-deadline",
         type=_seconds,
         default=30.0,

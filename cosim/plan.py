@@ -220,6 +220,7 @@ class Plan:
         channels: profiles by name; `link_channel[i]` names that of `links` row i.
         scenario: the resolved scenario as YAML text; running it gives the same digest.
         workers: as the scenario wants the agents divided in a run across processes; no result depends on it.
+        on_worker_loss: across processes, `abort` or `restart`; no result depends on it.
     """
 
     name: str
@@ -237,6 +238,7 @@ class Plan:
     scenario: str
     workers: Workers = None
     bridge: BridgePlan = BridgePlan()
+    on_worker_loss: str = "abort"
 
     @property
     def period(self) -> float:

@@ -6,11 +6,11 @@ import argparse
 import itertools
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
@@ -44,7 +44,10 @@ def main(args: argparse.Namespace) -> int:
     from cosim import check
     from cosim.planning import load
 
-    planned = load(args.config, args.set or (), seed=args.seed, until=args.until)
+    settings = list(args.set or ())
+    if args.on_worker_loss is not None:
+        settings.append(f"on_worker_loss={args.on_worker_loss}")
+    planned = load(args.config, settings, seed=args.seed, until=args.until)
     for warning in planned.warnings:
         print(warning, file=sys.stderr)
     plan = planned.plan
@@ -52,7 +55,15 @@ def main(args: argparse.Namespace) -> int:
         raise ConfigError([*absent, Problem("cosim serve runs this, with workers that have the whole files")])
     pacer = _pacer(args, plan)
     folder = run_folder(plan.name, args.out)
-    play, details = _way_to_play(args, plan, pacer, folder)
+    restarts: list[Mapping[str, Any]] = []
+
+    def tell(text: str, restart: Mapping[str, Any] | None) -> None:
+        say(text)
+        if restart is not None:
+            restarts.append(restart)
+            recorder.add({"distributed": {**details["distributed"], "restarts": restarts}})
+
+    play, details = _way_to_play(args, plan, pacer, folder, tell)
     recorder = Recorder(plan, folder, details)
     summary = _Summary(plan, pacer)
     stop = StopRequest()
@@ -82,6 +93,10 @@ def main(args: argparse.Namespace) -> int:
     if not args.quiet:
         summary.show(recorder.folder, digest, bridge)
     return _draw(recorder.folder, quiet=args.quiet) if args.report else 0
+
+
+Tell: TypeAlias = Callable[[str, Mapping[str, Any] | None], None]
+"""Is told, in a line, what happens to a worker, and what the manifest says of a restart."""
 
 
 def _warn(text: str) -> None:
@@ -119,17 +134,18 @@ def _accounted(pacer: Pacer | None, recorder: Recorder) -> Iterator[None]:
 
 
 def _way_to_play(
-    args: argparse.Namespace, plan: Plan, pacer: Pacer | None, folder: Path
+    args: argparse.Namespace, plan: Plan, pacer: Pacer | None, folder: Path, tell: Tell
 ) -> tuple[_Play, dict[str, Any]]:
     """In this process, or across several; and what the manifest says of it."""
     if not args.distributed:
-        if args.workers is not None:
-            raise CosimError("--workers is for runs across processes; add --distributed")
+        for option in ("workers", "on_worker_loss"):
+            if getattr(args, option) is not None:
+                raise CosimError(f"--{option.replace('_', '-')} is for runs across processes; add --distributed")
         return partial(run, plan, pacer=pacer), {}
     from cosim.distributed import cluster
 
     workers = cluster.division(plan, args.workers)
-    play = partial(cluster.run, plan, workers, step_deadline=args.step_deadline, pacer=pacer, folder=folder)
+    play = partial(cluster.run, plan, workers, tell=tell, step_deadline=args.step_deadline, pacer=pacer, folder=folder)
     return play, {"distributed": {"workers": len(workers)}}
 
 

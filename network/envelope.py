@@ -49,6 +49,7 @@ class Kind(IntEnum):
     BYE = 12  # the sender leaves in good order: its absence is no loss
     PING = 13  # answered by PONG
     PONG = 14
+    REPLACE = 15  # orchestrator -> emulator, and back: a process takes the place of a lost worker
     EXTERNAL = 16  # orchestrator -> emulator: values from outside, taken at a tick; passed on with its mail
     CLAIM = 20  # process -> orchestrator, in runs started by hand: who it is, and which agents it wants to carry
     OFFER = 21  # orchestrator -> process: what will be run; FAILURE instead says why the claim is refused

@@ -3,5 +3,6 @@
 The orchestrator drives the clock and records; one process emulates the network; worker processes carry the agents.
 `worker`, `emulation` and `orchestration` are pure state machines: envelopes in, messages out. `serving` and
 `supervision` are the loops around them that know deadlines and an `Endpoint`; `processes` starts them, `cluster` joins
-all.
+all. `replay` and `replacement` are what it takes to replace a lost worker; `survey` and `standing` find out who waits
+for whom.
 """

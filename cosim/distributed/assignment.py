@@ -10,7 +10,6 @@ from typing import Any, TypeAlias, TypeVar
 
 from cosim.errors import ClusterError
 from cosim.plan import Plan
-from cosim.scenario.names import in_short
 from network.codec import Block, decode_object, encode_object
 from network.transport import HUB, Envelope, Kind, Part, WireError
 
@@ -71,6 +70,11 @@ def divide(n_agents: int, n_workers: int) -> dict[str, Share]:
     return {f"worker-{i + 1}": range(ends[i], ends[i + 1]) for i in range(n_workers)}
 
 
+def renamed(things: Mapping[str, _T], old: str, new: str) -> dict[str, _T]:
+    """The same things in the same order, one of them under another name."""
+    return {new if name == old else name: thing for name, thing in things.items()}
+
+
 def blocks(plan: Plan, workers: Mapping[str, Share]) -> dict[str, Block]:
     """What both ends of a stream know of each worker's agents."""
     return {
@@ -98,14 +102,6 @@ def window_ticks(plan: Plan) -> int:
 def batch_ticks(plan: Plan) -> int:
     """After how many ticks rows, fates and grants are sent on, if time does not ask for it earlier."""
     return max(1, window_ticks(plan) // _WINDOWS_PARTS)
-
-
-def carried(plan: Plan, name: str, workers: Mapping[str, Share]) -> str:
-    """A process as people are told of it: `worker-1 (agents 1..5)`."""
-    if name not in workers:
-        return f"the {name}"
-    names = in_short(plan.agents[i].name for i in workers[name])
-    return f"{name} (agent{'' if len(workers[name]) == 1 else 's'} {names})"
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from cosim.distributed.assignment import EMULATOR, Share, divide, share_of
 from cosim.distributed.inheritance import leave_word
 from cosim.distributed.orchestration import Orchestration
 from cosim.distributed.processes import Processes
-from cosim.distributed.supervision import Supervisor
+from cosim.distributed.supervision import Supervisor, Tell
 from cosim.errors import ClusterError, CosimError
 from cosim.inline import Observer, Take
 from cosim.pacing import Pacer
@@ -60,6 +60,7 @@ def run(  # noqa: PLR0917
     observers: Sequence[Observer],
     stop_requested: Callable[[], bool] = lambda: False,
     take: Take | None = None,
+    tell: Tell = lambda _text, _restart: None,
     step_deadline: float = STEP_DEADLINE,
     pacer: Pacer | None = None,
     folder: Path | None = None,
@@ -72,6 +73,7 @@ def run(  # noqa: PLR0917
         observers: told of every tick and every fate, in order, as by `cosim.inline.run`.
         stop_requested: asked a few times a second.
         take: gives the values from outside that are new at a tick, as in `cosim.inline.run`.
+        tell: is told, in a line, what happens to a worker, and what the manifest says of a restart.
         step_deadline: seconds in which some process must get further.
         pacer: holds the run back to the pace of the wall; without one, it runs as fast as it can.
         folder: the run folder, for the emulator to bring in order if this process is killed.
@@ -84,14 +86,17 @@ def run(  # noqa: PLR0917
     """
     if isinstance(workers, int):
         workers = divide(len(plan.agents), workers)
-    with Scratch() as scratch, _hub(scratch) as (run_id, hub), Processes((EMULATOR, *workers)) as processes:
+    with (
+        Scratch() as scratch,
+        _hub(scratch) as (run_id, hub),
+        Processes(run_id, hub.endpoints[0], scratch) as processes,
+    ):
         if folder is not None:
             leave_word(scratch, folder)
-        processes.start(run_id, hub.endpoints[0], scratch)
+        processes.start((EMULATOR, *workers))
         seers = observers if pacer is None else [*observers, pacer]
         orchestration = Orchestration(plan, workers, seers, take, paced=pacer is not None)
-        supervisor = Supervisor(plan, workers, hub, processes, orchestration, stop_requested, step_deadline, pacer)
-        supervisor.run()
+        Supervisor(plan, hub, processes, orchestration, stop_requested, step_deadline, tell, pacer).run()
 
 
 @contextmanager

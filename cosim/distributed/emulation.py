@@ -1,38 +1,81 @@
 """The emulator's process: collects the samples of a tick, answers with every worker's mail. Pure.
 
-Where the channels leave slack, it answers a tick before its samples are in; results do not depend on it.
+Where the channels leave slack, it answers a tick before its samples are in; results do not depend on it. Where lost
+workers are replaced, it keeps all mail: a replacement begins at tick 0, is given what its predecessor got, and repeats
+what that one said.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from cosim.distributed.assignment import ORCHESTRATOR, Message, Share, batch_ticks, blocks, rows_of
+from cosim.distributed.assignment import (
+    ORCHESTRATOR,
+    Message,
+    Share,
+    batch_ticks,
+    blocks,
+    renamed,
+    rows_of,
+)
+from cosim.distributed.replay import Replay, Spill
 from cosim.plan import Plan
 from network import codec
+from network.codec import Block
 from network.emulator import Emulator
 from network.messages import Exchange, Fates, Floats
 from network.transport import Envelope, Kind, Part, WireError
 
+_AHEAD_TICKS = 64
+_AHEAD_BYTES = 8 << 20
+
+
+@dataclass
+class _Station:
+    """A worker, as the emulator sees it.
+
+    Attributes:
+        agents: that it carries.
+        block: what both ends know of them.
+        samples: ticks whose samples are in, from it or from whom it replaces.
+        said: ticks whose samples this very process has sent.
+        sent: ticks whose mail it has been sent.
+        replay: all of its mail, where lost workers are replaced.
+    """
+
+    agents: Share
+    block: Block
+    replay: Replay | None
+    samples: int = 0
+    said: int = 0
+    sent: int = 0
+
 
 class Emulation:
-    """The call order is `prepare`, then `handle` and `flush` as they come until `finished`.
+    """The call order is `prepare`, then `handle` and `flush` as they come until `finished`, then `close`.
 
     Args:
         plan: of the whole run.
         workers: the agents of every worker.
+        spill: opens the files that mail is kept in, where lost workers are replaced.
     """
 
-    def __init__(self, plan: Plan, workers: Mapping[str, Share]) -> None:
+    def __init__(self, plan: Plan, workers: Mapping[str, Share], spill: Spill) -> None:
         self._plan = plan
-        self._workers = workers
-        self._wire = blocks(plan, workers)
+        wire = blocks(plan, workers)
+        keeps = plan.on_worker_loss == "restart"
+        self._stations = {
+            name: _Station(agents, wire[name], Replay(spill()) if keeps else None) for name, agents in workers.items()
+        }
+        self._replaced: set[str] = set()
+        self._behind: set[str] = set()  # replacements that have not caught up
         self._batch_ticks = batch_ticks(plan)
         self._emulator = Emulator(plan.links, plan.channels, plan.link_channel, plan.layout, plan.seed, plan.period_ns)
         self._samples: dict[int, Floats] = {}  # of ticks that are not complete
-        self._next_samples = dict.fromkeys(workers, 0)
         self._published = 0  # ticks of which all samples are in
         self._exchanged = 0  # ticks answered
         self._granted = 0
@@ -55,7 +98,11 @@ class Emulation:
 
         Raises:
             WireError: it is not this message's turn, or it does not hold what it should.
+            ClusterError: there is no room for the mail that must be kept, or a replacement says something else.
         """
+        if envelope.sender in self._replaced:  # what was under way when it was lost
+            return []
+        messages: list[Message] = []
         match envelope.kind:
             case Kind.SAMPLES:
                 self._collect(envelope)
@@ -65,14 +112,17 @@ class Emulation:
                     raise WireError(envelope.sender, f"no values from outside came for tick {self._next_external}")
             case Kind.EXTERNAL:
                 self._take_external(envelope)
+            case Kind.REPLACE:
+                messages.append(self._replace(envelope))
             case Kind.PING:
-                return [*self.flush(), self._position()]
+                return [*self.flush(), self._position(envelope.tick)]
             case Kind.BYE if envelope.sender == ORCHESTRATOR:
                 self.finished = True
                 return []
             case _:
                 raise WireError(envelope.sender, f"a {envelope.kind.name} is nothing for an emulator")
-        return self._answer()
+        messages += self._answer()
+        return messages + self._repeat() if self._behind else messages
 
     def flush(self) -> list[Message]:
         """Hand over the fates that are held back."""
@@ -82,21 +132,34 @@ class Emulation:
         return [Message(ORCHESTRATOR, Kind.FATES, self._exchanged - len(fates), codec.encode_fates(fates))]
 
     def close(self) -> None:
-        """Nothing is left open."""
+        """Give back the files."""
+        for station in self._stations.values():
+            if station.replay is not None:
+                station.replay.close()
 
     def _collect(self, envelope: Envelope) -> None:
         """Put a worker's samples where they belong; publish the ticks that become complete."""
-        share = self._workers.get(envelope.sender)
-        if share is None:
+        station = self._stations.get(envelope.sender)
+        if station is None:
             raise WireError(envelope.sender, "it carries no agents, but sent samples")
-        tick = envelope.expect(Kind.SAMPLES, self._next_samples[envelope.sender]).tick
+        tick = envelope.expect(Kind.SAMPLES, station.said).tick
+        samples = codec.decode_samples(station.block, envelope)
+        if station.replay is not None and not station.replay.says(tick, envelope.body):
+            raise WireError(
+                envelope.sender,
+                f"the samples of tick {tick} are not those of the worker that it replaces: a component gives another "
+                "result when it is run again; run with 'on_worker_loss: abort'",
+            )
+        station.said += 1
+        if tick < station.samples:
+            return
+        station.samples = tick + 1
         if tick not in self._samples:
             self._samples[tick] = np.empty((len(self._plan.agents), self._plan.layout.width))
-        self._samples[tick][rows_of(share)] = codec.decode_samples(self._wire[envelope.sender], envelope)
-        self._next_samples[envelope.sender] = tick + 1
+        self._samples[tick][rows_of(station.agents)] = samples
         if self._exchanged == self._plan.ticks:  # with slack, the last samples are of no consequence
             self._samples.clear()
-        elif tick == self._published and min(self._next_samples.values()) > tick:
+        elif tick == self._published and all(other.samples > tick for other in self._stations.values()):
             self._emulator.publish(tick, self._samples.pop(tick))
             self._published += 1
 
@@ -117,14 +180,22 @@ class Emulation:
             exchange = self._emulator.exchange(tick)
             self._exchanged += 1
             self._fates.append(exchange.fates)
-            messages += [Message(name, Kind.MAIL, tick, self._mail(name, exchange)) for name in self._workers]
+            for name, station in self._stations.items():
+                mail = self._mail(station, exchange)
+                if name not in self._behind:
+                    station.sent += 1
+                    messages.append(Message(name, Kind.MAIL, tick, mail))
             self._external.pop(tick, None)
             if self._exchanged == self._plan.ticks:
                 messages += self._finish()
         return messages + self.flush() if len(self._fates) >= self._batch_ticks else messages
 
-    def _mail(self, name: str, exchange: Exchange) -> list[Part]:
-        return [*self._external.get(exchange.tick, ()), *codec.encode_mail(exchange.mail.of(self._workers[name]))]
+    def _mail(self, station: _Station, exchange: Exchange) -> list[Part]:
+        external = self._external.get(exchange.tick, ())
+        mail = [*external, *codec.encode_mail(exchange.mail.of(station.agents))]
+        if station.replay is not None:
+            station.replay.keep(mail)
+        return mail
 
     def _finish(self) -> list[Message]:
         """The last fates, and those of what is still in flight, which go under the last tick."""
@@ -133,7 +204,43 @@ class Emulation:
         messages.append(Message(ORCHESTRATOR, Kind.FATES, self._plan.ticks, in_flight))
         return [*messages, Message(ORCHESTRATOR, Kind.DONE, self._plan.ticks)]
 
-    def _position(self) -> Message:
+    # --- replacements -----------------------------------------------------------------------------------------------
+    def _replace(self, envelope: Envelope) -> Message:
+        """From now on, a new process stands for a worker; it begins at tick 0. Says that it is expected."""
+        tree: dict[str, Any] = codec.decode_object(envelope)
+        old, new = str(tree.get("old")), str(tree.get("new"))
+        station = self._stations.get(old)
+        if station is None or station.replay is None or new in self._stations:
+            raise WireError(envelope.sender, f"{new} cannot replace {old}")
+        station.said = station.sent = 0
+        self._stations = renamed(self._stations, old, new)
+        self._replaced.add(old)
+        self._behind.discard(old)
+        self._behind.add(new)
+        return Message(ORCHESTRATOR, Kind.REPLACE, self._exchanged, list(codec.encode_object({"old": old, "new": new})))
+
+    def _repeat(self) -> list[Message]:
+        """The next mail for replacements: never more than they can take, as their samples show."""
+        messages = []
+        for name in sorted(self._behind):
+            station = self._stations[name]
+            replay, stop = station.replay, min(self._exchanged, station.said + _AHEAD_TICKS)
+            if replay is None or not station.said:  # it has not begun
+                continue
+            while station.sent < stop and replay.size(min(station.said, station.sent), station.sent) < _AHEAD_BYTES:
+                messages.append(Message(name, Kind.MAIL, station.sent, [replay.mail(station.sent)]))
+                station.sent += 1
+            if station.sent == self._exchanged:
+                self._behind.discard(name)
+        return messages
+
+    # --- accounts ---------------------------------------------------------------------------------------------------
+    def _position(self, question: int) -> Message:
         """Who has got how far, for the account of a fault."""
-        position = {"exchanged": self._exchanged, "samples": list(self._next_samples.values())}
-        return Message(ORCHESTRATOR, Kind.PONG, self._exchanged, codec.encode_object(position))
+        position = {
+            "exchanged": self._exchanged,
+            "granted": self._granted,
+            "samples": {name: station.said for name, station in self._stations.items()},
+            "mail": {name: station.sent for name, station in self._stations.items()},
+        }
+        return Message(ORCHESTRATOR, Kind.PONG, question, codec.encode_object(position))

@@ -7,18 +7,22 @@ in-process run tells them, in the same order, so that the digest is the same.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from cosim.distributed.assignment import EMULATOR, Job, Message, Share, batch_ticks, blocks, window_ticks
+from cosim.distributed.assignment import EMULATOR, Job, Message, Share, batch_ticks, blocks, renamed, window_ticks
 from cosim.distributed.failure import Failure
+from cosim.distributed.replacement import History, Moment
+from cosim.distributed.standing import Standing
+from cosim.distributed.survey import Lost, Survey
+from cosim.errors import ClusterError
 from cosim.inline import Observer, Take
 from cosim.master import Finish, Master
 from cosim.plan import Plan
 from network import codec
+from network.codec import Block, encode_object
 from network.messages import Exchange, Fates, Floats, Ints, Mail
 from network.transport import Envelope, Kind, WireError
 
@@ -28,17 +32,37 @@ _NOTHING: Ints = np.zeros(0, np.int64)
 _NO_MAIL = Mail(np.zeros(1, np.int64), _NOTHING, _NOTHING, _NOTHING, _NO_SAMPLES)
 
 
-@dataclass(frozen=True)
-class Blockage:
-    """Who holds everybody up.
+@dataclass
+class _Carrier:
+    """A worker, as the orchestrator sees it.
 
     Attributes:
-        culprits: processes that could go on and do not; all others wait for them.
-        tick: at which the culprits are.
+        agents: that it carries.
+        block: what both ends know of them.
+        history: of it and of those whom it replaces.
+        rows: that are not recorded yet, tick by tick.
+        rows_in: ticks whose rows have come, from it or from whom it replaces.
+        said: ticks whose rows this very process has sent.
+        tick: that this process is at, as far as is known.
+        samples: ticks whose samples the emulator has from this process, as far as is known.
+        behind: for a replacement, the tick at which it has caught up; None while that is not known.
     """
 
-    culprits: tuple[str, ...]
-    tick: int
+    agents: Share
+    block: Block
+    history: History
+    rows: deque[Floats] = field(default_factory=deque)
+    rows_in: int = 0
+    said: int = 0
+    tick: int = 0
+    samples: int = 0
+    behind: int | None = None
+    failure: Failure | None = None
+
+    def begin_again(self) -> None:
+        """Another process stands for this worker; it begins at tick 0."""
+        self.said = self.tick = self.samples = 0
+        self.behind = self.failure = None
 
 
 class Orchestration:
@@ -62,20 +86,22 @@ class Orchestration:
         paced: bool = False,
     ) -> None:
         self._plan = plan
-        self._workers = dict(workers)
-        self._wire = blocks(plan, workers)
-        self._index = {name: index for index, name in enumerate(workers)}
+        wire = blocks(plan, workers)
+        self._carriers = {name: _Carrier(agents, wire[name], History(name)) for name, agents in workers.items()}
         indices = [agent for share in workers.values() for agent in share]
-        numbers = np.repeat(indices, [width for block in self._wire.values() for width in block.widths])
+        numbers = np.repeat(indices, [width for block in wire.values() for width in block.widths])
         self._order = None if indices == sorted(indices) else np.argsort(numbers, kind="stable")  # of a row as it comes
         self._observers = observers
         self._take = take
         self._external: list[Message] = []  # what was taken since the last grant
         self._master = Master([0] * len(workers), 0, plan.ticks)
         self._unready = {EMULATOR, *workers}
-        self._rows: dict[str, deque[Floats]] = {name: deque() for name in workers}
-        self._rows_in = dict.fromkeys(workers, 0)  # ticks of which rows have come
-        self._samples_in = dict.fromkeys(workers, 0)  # ticks whose samples the emulator says it has
+        self._unexpected: set[str] = set()  # replacements of which the emulator does not know yet
+        self._hired: list[str] = []  # replacements that have not begun
+        self._employed: list[str] = []  # processes that have their job
+        self._replaced: set[str] = set()
+        self._caught_up: list[tuple[str, int]] = []
+        self._survey = Survey()
         self._fates: deque[Fates] = deque()
         self._fates_in = 0
         self._exchanged = 0
@@ -84,16 +110,20 @@ class Orchestration:
         self.released = -1 if paced else plan.ticks
         """The last tick to which everybody may go."""
         self._rows_done = False  # of the master's tick
-        self._failures: dict[str, Failure] = {}
         self._over = False
         self.recorded = -1
         """The last tick that the observers have seen."""
         self.finished = False
 
     @property
+    def workers(self) -> dict[str, Share]:
+        """The agents of every worker, by the name of the process that carries them now."""
+        return {name: carrier.agents for name, carrier in self._carriers.items()}
+
+    @property
     def processes(self) -> tuple[str, ...]:
         """All but the orchestrator."""
-        return (EMULATOR, *self._workers)
+        return (EMULATOR, *self._carriers)
 
     @property
     def unready(self) -> tuple[str, ...]:
@@ -101,25 +131,33 @@ class Orchestration:
         return tuple(name for name in self.processes if name in self._unready)
 
     @property
-    def progress(self) -> tuple[int, ...]:
+    def progress(self) -> tuple[object, ...]:
         """It changes whenever a process gets further."""
-        return (len(self._unready), self._exchanged, *(self.position(name) for name in self._workers))
+        positions = [(name, self.position(name)) for name in self._carriers]
+        return (len(self._unready), len(self._unexpected), self._exchanged, self.recorded, positions)
 
     def position(self, name: str) -> int:
         """The tick at which a process is, as far as is known."""
-        if name not in self._workers:
-            return self._exchanged
-        return max(0, self._rows_in[name] - 1, self._samples_in[name] - 1)
+        carrier = self._carriers.get(name)
+        return self._exchanged if carrier is None else max(carrier.said - 1, carrier.samples - 1, carrier.tick)
 
     @property
     def failure(self) -> Failure | None:
         """The failure that the in-process run would have met first, among those known."""
-        return min(self._failures.values(), key=lambda failure: failure.rank, default=None)
+        known = (carrier.failure for carrier in self._carriers.values() if carrier.failure is not None)
+        return min(known, key=lambda failure: failure.rank, default=self._other_failure)
+
+    _other_failure: Failure | None = None  # of the emulator
 
     def begin(self) -> list[Message]:
         """The job for everybody; all must have joined."""
-        job = Job.of(self._plan, self._workers, paced=self._paced).encode()
-        return [Message(name, Kind.SCENARIO, 0, job) for name in self.processes]
+        return self.employ(self.processes)
+
+    def employ(self, names: Iterable[str]) -> list[Message]:
+        """The job for processes that have joined."""
+        names, job = list(names), Job.of(self._plan, self.workers, paced=self._paced).encode()
+        self._employed += names
+        return [Message(name, Kind.SCENARIO, 0, job) for name in names]
 
     def end(self) -> list[Message]:
         """Farewell to everybody."""
@@ -132,23 +170,26 @@ class Orchestration:
             WireError: it is not this message's turn, or it does not hold what it should.
             CosimError: an agent failed, as in the in-process run; or an observer did.
         """
+        if envelope.sender in self._replaced:  # what was under way when it was lost
+            return []
         match envelope.kind:
             case Kind.READY:
                 self._unready.discard(envelope.sender)
             case Kind.FAILURE:
-                self._unready.discard(envelope.sender)
-                self._failures[envelope.sender] = Failure.decode(envelope)
+                self._take_failure(envelope)
             case Kind.ROWS:
                 self._take_rows(envelope)
             case Kind.FATES:
                 self._take_fates(envelope)
             case Kind.PONG:
                 self._take_position(envelope)
+            case Kind.REPLACE:
+                self._take_expectation(envelope)
             case Kind.DONE | Kind.BYE:
                 pass
             case _:
                 raise WireError(envelope.sender, f"a {envelope.kind.name} is nothing for the orchestrator")
-        if self._unready:
+        if self._granted < 0 and (self._unready or self._unexpected):
             return []
         if self._granted >= 0:
             self._record()
@@ -158,17 +199,30 @@ class Orchestration:
     def release(self, tick: int) -> list[Message]:
         """The wall clock has come to a tick of a paced run; everybody must be ready."""
         self.released = max(self.released, min(tick, self._plan.ticks))
-        return self._grant()
+        return [] if self._unready or self._unexpected else self._grant()
 
     # --- what comes in ----------------------------------------------------------------------------------------------
+    def _take_failure(self, envelope: Envelope) -> None:
+        name, failure = envelope.sender, Failure.decode(envelope)
+        self._unready.discard(name)
+        carrier = self._carriers.get(name)
+        if carrier is None:
+            self._other_failure = failure
+        elif name in self._hired and self._granted >= 0:
+            raise ClusterError(f"{name} cannot replace a lost worker: {failure.error}")
+        else:
+            carrier.failure = failure
+
     def _take_rows(self, envelope: Envelope) -> None:
-        name = envelope.sender
-        if name not in self._workers:
-            raise WireError(name, "it carries no agents, but sent rows")
-        envelope.expect(Kind.ROWS, self._rows_in[name])
-        rows = codec.decode_rows(self._wire[name], envelope)
-        self._rows[name].extend(rows)
-        self._rows_in[name] += len(rows)
+        carrier = self._carriers.get(envelope.sender)
+        if carrier is None:
+            raise WireError(envelope.sender, "it carries no agents, but sent rows")
+        first = envelope.expect(Kind.ROWS, carrier.said).tick
+        rows = codec.decode_rows(carrier.block, envelope)
+        carrier.said += len(rows)
+        carrier.rows.extend(rows[max(0, carrier.rows_in - first) :])
+        carrier.rows_in = max(carrier.rows_in, carrier.said)
+        self._look_whether_caught_up(envelope.sender, carrier)
 
     def _take_fates(self, envelope: Envelope) -> None:
         if envelope.sender != EMULATOR:
@@ -180,21 +234,30 @@ class Orchestration:
         self._exchanged = max(self._exchanged, min(self._fates_in, self._plan.ticks))
 
     def _take_position(self, envelope: Envelope) -> None:
-        """The emulator's account of who has got how far."""
-        tree: dict[str, Any] = codec.decode_object(envelope)
-        try:
-            self._exchanged = max(self._exchanged, int(tree["exchanged"]))
-            for name, count in zip(self._workers, tree["samples"], strict=True):
-                self._samples_in[name] = max(self._samples_in[name], int(count))
-        except (ValueError, KeyError, TypeError) as error:
-            raise WireError(envelope.sender, f"a position that cannot be read: {error!r}") from error
+        position = self._survey.take(envelope)
+        if envelope.sender == EMULATOR:
+            self._exchanged = max(self._exchanged, position.tick)
+            for name, count in position.samples.items():
+                if name in self._carriers:
+                    self._carriers[name].samples = max(self._carriers[name].samples, count)
+        elif envelope.sender in self._carriers:
+            self._carriers[envelope.sender].tick = position.tick
+
+    def _take_expectation(self, envelope: Envelope) -> None:
+        """The emulator expects a replacement."""
+        name = str(codec.decode_object(envelope).get("new"))
+        if envelope.sender != EMULATOR:
+            raise WireError(envelope.sender, "it is no emulator, but expects a replacement")
+        self._unexpected.discard(name)
+        if name in self._carriers:
+            self._carriers[name].behind = envelope.tick
 
     # --- what comes of it -------------------------------------------------------------------------------------------
     def _record(self) -> None:
         """Tell the observers of all that is complete, in order."""
         while not self.finished:
             if not self._rows_done:
-                if not all(self._rows.values()):
+                if not all(carrier.rows for carrier in self._carriers.values()):
                     return
                 self._record_rows()
             if not self._fates:
@@ -210,9 +273,9 @@ class Orchestration:
 
     def _record_rows(self) -> None:
         tick = self._master.tick
-        for index in self._index.values():
+        for index in range(len(self._carriers)):
             self._over = isinstance(self._master.published(index, tick, _NO_SAMPLES), Finish)
-        row = np.concatenate([self._rows[name].popleft() for name in self._index])
+        row = np.concatenate([carrier.rows.popleft() for carrier in self._carriers.values()])
         if self._order is not None:
             row = row[self._order]
         for observer in self._observers:
@@ -231,36 +294,105 @@ class Orchestration:
         if failure.tick < 0:
             raise failure.error
         all_before = self._master.tick > failure.tick and not self._rows_done
-        earlier = (name for name, share in self._workers.items() if share[0] < failure.agent)
-        if all_before and all(name in self._failures or self._rows[name] for name in earlier):
+        earlier = (carrier for carrier in self._carriers.values() if carrier.agents[0] < failure.agent)
+        if all_before and all(carrier.failure or carrier.rows for carrier in earlier):
             raise failure.error
 
     def _grant(self) -> list[Message]:
-        """Let the emulator go on, and everybody begin."""
+        """Let the emulator go on, and whoever is ready begin."""
         tick = min(self.recorded + 1 + window_ticks(self._plan), self.released)
         if tick < 0:
             return []
         if self._granted < 0:
             self._granted = tick
-            return [Message(name, Kind.GRANT, tick) for name in (*self._workers, EMULATOR)]
+            self._hired.clear()
+            return [Message(name, Kind.GRANT, tick) for name in (*self._carriers, EMULATOR)]
+        begin = [name for name in self._hired if name not in self._unready | self._unexpected]
+        self._hired = [name for name in self._hired if name not in begin]
+        messages = [Message(name, Kind.GRANT, tick) for name in begin]
         enough = 1 if self._paced else batch_ticks(self._plan)
         if tick - self._granted >= enough or (tick == self._plan.ticks > self._granted):
             self._granted = tick
             external, self._external = self._external, []
-            return [*external, Message(EMULATOR, Kind.GRANT, tick)]
-        return []
+            messages += [*external, Message(EMULATOR, Kind.GRANT, tick)]
+        return messages
 
-    def blockage(self) -> Blockage:
-        """Who holds everybody up, as far as is known: whoever has all it needs for its next step."""
-        if self._unready:
-            tick = 0
-            culprits = self.unready
-        else:
-            computing = {
-                name: self.position(name)
-                for name in self._workers
-                if self.position(name) < min(self._exchanged, self._plan.ticks) or not self._rows_in[name]
-            }
-            tick = min(computing.values(), default=self._exchanged)
-            culprits = tuple(name for name, at in computing.items() if at == tick) or (EMULATOR,)
-        return Blockage(culprits, tick)
+    # --- replacements -----------------------------------------------------------------------------------------------
+    def why_not_replaced(self, name: str, moment: Moment) -> str | None:
+        """Why a worker that is lost cannot be replaced, to follow its name; None if it can."""
+        histories = [carrier.history for carrier in self._carriers.values()]
+        return self._carriers[name].history.objection(moment, histories)
+
+    def replace(self, name: str, moment: Moment) -> tuple[str, list[Message]]:
+        """Another process shall stand for a lost worker.
+
+        Args:
+            name: of the worker.
+            moment: at which it was lost.
+
+        Returns:
+            The name of the process to start, and what to send. When it has joined, it is to be employed.
+        """
+        new = self._carriers[name].history.lost(moment, self._replaced.union(self._carriers))
+        self._carriers = renamed(self._carriers, name, new)
+        self._carriers[new].begin_again()
+        self._replaced.add(name)
+        self._unready.discard(name)
+        self._unexpected.discard(name)
+        self._hired = [other for other in self._hired if other != name]
+        self._unready.add(new)
+        self._hired.append(new)
+        if EMULATOR not in self._employed:  # it will be told with its job
+            return new, []
+        self._unexpected.add(new)
+        return new, [Message(EMULATOR, Kind.REPLACE, 0, encode_object({"old": name, "new": new}))]
+
+    @property
+    def unemployed(self) -> tuple[str, ...]:
+        """Processes that have no job yet."""
+        return tuple(name for name in self.processes if name not in self._employed)
+
+    def behind(self) -> list[tuple[str, int, int]]:
+        """Replacements that are catching up: name, tick, and the tick that they must get to."""
+        return [
+            (name, self.position(name), carrier.behind)
+            for name, carrier in self._carriers.items()
+            if carrier.behind is not None
+        ]
+
+    def caught_up(self) -> list[tuple[str, int]]:
+        """Replacements that have caught up since the last call, and at which tick."""
+        caught_up, self._caught_up = self._caught_up, []
+        return caught_up
+
+    def _look_whether_caught_up(self, name: str, carrier: _Carrier) -> None:
+        if carrier.behind is not None and self.position(name) >= carrier.behind:
+            self._caught_up.append((name, carrier.behind))
+            carrier.behind = None
+
+    # --- accounts ---------------------------------------------------------------------------------------------------
+    def ask(self) -> list[Message]:
+        """Ask everybody how far they are."""
+        return self._survey.ask(name for name in self.processes if name in self._employed)
+
+    def all_answered(self, but: Collection[str]) -> bool:
+        """Whether everybody else has answered the last question."""
+        return self._survey.answered >= set(self._employed).intersection(self.processes).difference(but)
+
+    def settled(self, but: Collection[str]) -> bool:
+        """Whether nobody else has got any further between the last two questions."""
+        return self._survey.settled(set(self._employed).intersection(self.processes).difference(but))
+
+    def lost_message(self) -> Lost | None:
+        """A message that was sent and did not arrive, as the last answers show."""
+        return self._survey.lost(tuple(self._carriers))
+
+    def standing(self) -> Standing:
+        """How far everybody is."""
+        return Standing(
+            ready=self._granted >= 0,
+            exchanged=self._exchanged,
+            ticks={name: self.position(name) for name in self._carriers},
+            samples={name: carrier.samples for name, carrier in self._carriers.items()},
+            idle=self._survey.answered,
+        )

@@ -7,27 +7,37 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
+from cosim.distributed import whereabouts
+from cosim.distributed.replacement import Moment
 from cosim.errors import ClusterError
 
 _EXIT_SECONDS = 1.0
 
 
 class Processes:
-    """The processes of a run; none of them outlives the `with`."""
+    """The processes of a run; none of them outlives the `with`.
 
-    def __init__(self, names: Sequence[str]) -> None:
-        self._names = names
+    Args:
+        run_id: of the run.
+        endpoint: of its hub.
+        scratch: folder of the run.
+    """
+
+    def __init__(self, run_id: str, endpoint: str, scratch: Path) -> None:
+        self._run_id = run_id
+        self._endpoint = endpoint
+        self._scratch = scratch
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
     def __enter__(self) -> Processes:
         return self
 
-    def start(self, run_id: str, endpoint: str, scratch: Path) -> None:
-        """Start all of them. They search for modules where this process does, and Ctrl-C reaches only this one.
+    def start(self, names: Iterable[str]) -> None:
+        """Start processes. They search for modules where this process does, and Ctrl-C reaches only this one.
 
         Raises:
             ClusterError: the system refuses.
@@ -36,8 +46,9 @@ class Processes:
         environment = {**os.environ, "PYTHONPATH": path}
         previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # inherited by what is started
         try:
-            for name in self._names:
-                command = [sys.executable, "-P", "-m", "cosim", "_process", name, run_id, endpoint, str(scratch)]
+            for name in names:
+                command = [sys.executable, "-P", "-m", "cosim", "_process", name, self._run_id, self._endpoint]
+                command.append(str(self._scratch))
                 self._running[name] = subprocess.Popen(command, env=environment, stdin=subprocess.PIPE)  # noqa: S603
         except OSError as error:
             raise ClusterError(f"the process {name} cannot be started: {error.strerror or error}") from error
@@ -59,10 +70,20 @@ class Processes:
             return f"was killed by signal {-code} ({_signal_name(-code)}{hint})"
         return f"ended with exit code {code}"
 
+    def moment(self, name: str) -> Moment | None:
+        """What a worker is doing, or was when it ended; None if it is not known."""
+        return whereabouts.read(self._scratch, name)
+
     def await_end(self, name: str) -> None:
-        """Give a process whose connection is gone a moment to end."""
-        with suppress(subprocess.TimeoutExpired):
-            self._running[name].wait(_EXIT_SECONDS)
+        """Give a process whose connection is gone a moment to end, unless it is stopped."""
+        deadline = time.monotonic() + _EXIT_SECONDS
+        while self.condition(name) is None and time.monotonic() < deadline:
+            with suppress(subprocess.TimeoutExpired):
+                self._running[name].wait(_EXIT_SECONDS / 50)
+
+    def dismiss(self, name: str) -> None:
+        """Kill a process, if it has not ended, and forget it."""
+        _end([self._running.pop(name)])
 
     def await_all(self, seconds: float) -> None:
         """Give all of them time to end in good order."""
@@ -72,13 +93,18 @@ class Processes:
                 process.wait(max(0.0, deadline - time.monotonic()))
 
     def __exit__(self, *_: object) -> None:
-        for process in self._running.values():
-            if process.poll() is None:
-                process.kill()
-        for process in self._running.values():
-            process.wait()
-            if process.stdin is not None:
-                process.stdin.close()
+        _end(self._running.values())
+
+
+def _end(processes: Iterable[subprocess.Popen[bytes]]) -> None:
+    processes = list(processes)
+    for process in processes:
+        if process.poll() is None:
+            process.kill()
+    for process in processes:
+        process.wait()
+        if process.stdin is not None:
+            process.stdin.close()
 
 
 def _signal_name(number: int) -> str:

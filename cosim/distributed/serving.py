@@ -18,7 +18,8 @@ import traceback
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NoReturn, Protocol
+from tempfile import SpooledTemporaryFile
+from typing import BinaryIO, NoReturn, Protocol, cast
 
 from cosim.distributed.assignment import EMULATOR, ORCHESTRATOR, Job, Message
 from cosim.distributed.emulation import Emulation
@@ -26,6 +27,7 @@ from cosim.distributed.failure import OPENING, Failure
 from cosim.distributed.inheritance import bequest, inherit
 from cosim.distributed.worker import Worker
 from cosim.errors import ClusterError, CosimError
+from network.messages import Ints
 from network.transport import Endpoint, Envelope, Kind, PeerLost, Refused, TransportTimeout, WireError
 
 FLUSH_SECONDS = 0.05
@@ -34,6 +36,9 @@ FLUSH_SECONDS = 0.05
 _IDLE_SECONDS = 1.0
 _JOIN_SECONDS = 30.0
 _GRACE_SECONDS = 0.5
+_MAIL_BYTES = 32 << 20
+"""Kept in memory for replacements of lost workers; more goes to a file."""
+
 EXIT_ORPHANED = 4
 """Exit code of a process whose orchestrator is gone."""
 
@@ -60,10 +65,13 @@ class Machine(Protocol):
         """At the end."""
 
 
-def machine(name: str, job: Job) -> Machine:
-    """The state machine of the process of that name."""
+def machine(name: str, job: Job, whereabouts: Ints | None = None) -> Machine:
+    """The state machine of the process of that name; a worker keeps its `whereabouts` up to date."""
     plan = job.plan()
-    return Emulation(plan, job.workers) if name == EMULATOR else Worker(plan, name, job.workers)
+    if name == EMULATOR:
+        in_memory = _MAIL_BYTES // len(job.workers)
+        return Emulation(plan, job.workers, lambda: cast(BinaryIO, SpooledTemporaryFile(in_memory)))
+    return Worker(plan, name, job.workers, whereabouts)
 
 
 def send(endpoint: Endpoint, messages: Sequence[Message]) -> None:
@@ -72,8 +80,12 @@ def send(endpoint: Endpoint, messages: Sequence[Message]) -> None:
         endpoint.send(message.receiver, message.kind, message.tick, *message.parts)
 
 
-def serve(endpoint: Endpoint) -> None:
+def serve(endpoint: Endpoint, whereabouts: Ints | None = None) -> None:
     """Take a job from the orchestrator and carry it out until its BYE.
+
+    Args:
+        endpoint: of this process.
+        whereabouts: see `Worker`.
 
     Raises:
         PeerLost: the orchestrator is gone.
@@ -87,7 +99,7 @@ def serve(endpoint: Endpoint) -> None:
                 return
             if envelope is not None:
                 job = Job.decode(envelope)
-                served = machine(endpoint.name, job)
+                served = machine(endpoint.name, job, whereabouts)
                 hold_back = 0.0 if job.paced else FLUSH_SECONDS
         send(endpoint, served.prepare())
         _carry_out(endpoint, served, hold_back)
@@ -142,11 +154,13 @@ def main(args: argparse.Namespace) -> NoReturn:
     orphaned, folder = threading.Event(), bequest(args.scratch, args.name)
     guard = threading.Thread(target=_guard, args=(args.scratch, folder, orphaned), name="guard", daemon=True)
     guard.start()
+    from cosim.distributed import whereabouts
     from network.zenoh import connect
 
     code = 0
     try:
-        serve(connect(args.run, args.name, [args.endpoint], timeout=_JOIN_SECONDS))
+        endpoint = connect(args.run, args.name, [args.endpoint], timeout=_JOIN_SECONDS)
+        serve(endpoint, whereabouts.write_to(args.scratch, args.name))
     except PeerLost:
         shutil.rmtree(args.scratch, ignore_errors=True)
         code = EXIT_ORPHANED

@@ -1,26 +1,37 @@
-"""Drives an orchestration over a hub, and says who is to blame when it does not go on."""
+"""Drives an orchestration over a hub, replaces lost workers, and says who is to blame when a run does not go on."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
+from typing import Any, TypeAlias
 
-from cosim.distributed.assignment import EMULATOR, Share, carried
+from cosim.distributed.assignment import EMULATOR
 from cosim.distributed.orchestration import Orchestration
 from cosim.distributed.processes import Processes
-from cosim.distributed.serving import FLUSH_SECONDS, send
+from cosim.distributed.replacement import Moment, when
+from cosim.distributed.serving import send
+from cosim.distributed.standing import carried, waits
+from cosim.distributed.survey import Lost
 from cosim.errors import ClusterError, CosimError
 from cosim.inline import Interrupted
 from cosim.pacing import Pacer
 from cosim.plan import Plan
-from network.transport import Hub, Kind, PeerLost, TransportTimeout, WireError
+from network.transport import Hub, PeerLost, TransportTimeout, WireError
 from network.units import to_seconds
+
+Tell: TypeAlias = Callable[[str, Mapping[str, Any] | None], None]
 
 _START_SECONDS = 60.0
 _START_SECONDS_PER_AGENT = 0.1
 _WATCH_SECONDS = 0.02
-_SETTLE_SECONDS = 4 * FLUSH_SECONDS
+_ASK_SECONDS = 0.5
+"""After so long without progress, everybody is asked how far they are: a message that was lost is noticed."""
+_TELL_SECONDS = 5.0
+"""How often to say how far replacements are."""
+_SETTLE_SECONDS = 1.0
 _FAREWELL_SECONDS = 10.0
 _FAULT_FAREWELL_SECONDS = 1.0
 
@@ -30,28 +41,27 @@ class Supervisor:
 
     Args:
         plan: what runs.
-        workers: the agents of every worker.
         hub: at which the processes join.
         processes: that were started.
         orchestration: what to do with their messages.
         stop_requested: asked a few times a second.
         step_deadline: seconds in which some process must get further.
+        tell: is told, in a line, what happens to a worker, and what the manifest says of a restart.
         pacer: says when ticks are released, if the run is paced.
     """
 
     def __init__(  # noqa: PLR0917
         self,
         plan: Plan,
-        workers: Mapping[str, Share],
         hub: Hub,
         processes: Processes,
         orchestration: Orchestration,
         stop_requested: Callable[[], bool],
         step_deadline: float,
+        tell: Tell,
         pacer: Pacer | None = None,
     ) -> None:
         self._plan = plan
-        self._workers = workers
         self._hub = hub
         self._processes = processes
         self._orchestration = orchestration
@@ -59,6 +69,7 @@ class Supervisor:
         self._step_deadline = step_deadline
         self._pacer = pacer
         self._start_deadline = _START_SECONDS + _START_SECONDS_PER_AGENT * len(plan.agents)
+        self._tell = tell
 
     def run(self) -> None:
         """Until the run is over; see `cosim.distributed.cluster.run`."""
@@ -68,9 +79,6 @@ class Supervisor:
             send(self._hub, self._orchestration.begin())
             self._play()
             farewell = _FAREWELL_SECONDS
-        except PeerLost as lost:
-            self._processes.await_end(lost.name)
-            raise self._loss(lost.name, lost.reason) from lost
         except WireError as error:
             raise ClusterError(f"{error}; tick {self._orchestration.recorded} is the last one recorded") from error
         finally:
@@ -91,20 +99,47 @@ class Supervisor:
     def _play(self) -> None:
         orchestration = self._orchestration
         progress, since = orchestration.progress, time.monotonic()
-        watched = since
+        watched = asked = told = since
         while not orchestration.finished:
             patience = self._release()
             with suppress(TransportTimeout):
-                send(self._hub, orchestration.handle(self._hub.receive(patience)))
+                self._receive(patience)
             now = time.monotonic()
             if now - watched < _WATCH_SECONDS:
                 continue
             watched = now
             self._watch()
+            self._employ()
+            if now - told > _TELL_SECONDS:
+                told = now
+                for name, tick, goal in orchestration.behind():
+                    self._tell(f"{name} is at tick {tick} of {goal}", None)
             if progress != orchestration.progress or self._waits_for_the_clock:
                 progress, since = orchestration.progress, now
             elif now - since > self._deadline:
-                raise self._hang()
+                self._hang()
+                since = time.monotonic()
+            elif now - max(since, asked) > _ASK_SECONDS:
+                self._find_lost_message()
+                send(self._hub, orchestration.ask())
+                asked = now
+
+    def _receive(self, timeout: float) -> None:
+        """Handle the next message, or the loss of a process.
+
+        Raises:
+            TransportTimeout: there is none.
+        """
+        try:
+            envelope = self._hub.receive(timeout)
+        except PeerLost as lost:
+            self._lose(lost.name, lost.reason)
+        else:
+            send(self._hub, self._orchestration.handle(envelope))
+            for name, tick in self._orchestration.caught_up():
+                self._tell(
+                    f"{carried(self._plan, name, self._orchestration.workers)} has caught up at tick {tick}", None
+                )
 
     def _release(self) -> float:
         """Release the ticks whose time has come; how long to listen, in seconds, until something is to be done."""
@@ -137,50 +172,124 @@ class Supervisor:
             raise Interrupted(max(0, self._orchestration.recorded))
         name = self._processes.ended()
         if name is not None:
-            raise PeerLost(name, "its process ended")
+            self._lose(name, "its process ended")
 
-    # --- accounts of faults -----------------------------------------------------------------------------------------
-    def _loss(self, name: str, reason: str) -> CosimError:
-        """What to say of a process that is gone."""
-        self._settle()
-        if self._orchestration.failure is not None:
-            return self._orchestration.failure.error
-        condition = self._processes.condition(name) or f"was lost: {reason}"
-        return self._account((name,), condition, self._orchestration.position(name))
+    def _employ(self) -> None:
+        """Give a job to replacements that have joined."""
+        joined = self._hub.peers.intersection(self._orchestration.unemployed)
+        if joined:
+            send(self._hub, self._orchestration.employ(sorted(joined)))
 
-    def _hang(self) -> CosimError:
-        """What to say when nobody gets further."""
+    # --- faults -----------------------------------------------------------------------------------------------------
+    def _lose(self, name: str, reason: str) -> None:
+        """A process is gone, or cut off: replace it, or end the run."""
+        if name not in self._orchestration.processes:  # it has been replaced
+            return
+        self._processes.await_end(name)
+        self._resolve([name], self._processes.condition(name) or f"was lost: {reason}")
+
+    def _hang(self) -> None:
+        """Nobody gets further: replace whoever holds the others up, or end the run."""
         deadline = self._deadline
         self._settle()
-        if self._orchestration.failure is not None:
-            return self._orchestration.failure.error
-        blockage = self._orchestration.blockage()
-        stopped = [text for name in blockage.culprits if (text := self._processes.condition(name))]
-        condition = stopped[0] if stopped else f"did not get further for {deadline:g} s"
-        return self._account(blockage.culprits, condition, blockage.tick)
+        culprits = self._orchestration.unready or self._orchestration.standing().culprits()
+        stopped = [text for name in culprits if (text := self._processes.condition(name))]
+        self._resolve(culprits, stopped[0] if stopped else f"did not get further for {deadline:g} s", settled=True)
 
-    def _account(self, names: Sequence[str], condition: str, tick: int) -> ClusterError:
-        who = " and ".join(carried(self._plan, name, self._workers) for name in names)
-        time_ = to_seconds(tick * self._plan.period_ns)
-        began = not self._orchestration.unready
-        when = f"; last heard of at tick {tick} (t = {time_:.9g} s)" if began else " before the first tick"
-        others = [name for name in self._orchestration.processes if name not in names]
-        waiting = ", ".join(carried(self._plan, name, self._workers) for name in others)
-        text = f"{who} {condition}{when}"
-        return ClusterError(text + (f"\n  waiting for it: {waiting}" if waiting else ""))
+    def _find_lost_message(self) -> None:
+        """Replace a worker whose stream has a hole, or end the run."""
+        lost = self._orchestration.lost_message()
+        if lost is None:
+            return
+        worker = lost.receiver if lost.sender == EMULATOR else lost.sender
+        self._resolve([worker], f"is cut off: {self._hole(lost)}")
 
-    def _settle(self) -> None:
-        """Take what is still under way, so that all that is complete is recorded."""
-        with suppress(PeerLost, CosimError):
-            self._hub.send(EMULATOR, Kind.PING, 0)
+    def _hole(self, lost: Lost) -> str:
+        workers = self._orchestration.workers
+        who = [carried(self._plan, name, workers) for name in (lost.sender, lost.receiver)]
+        return f"the {lost.kind.name.lower()} of tick {lost.tick} from {who[0]} did not reach {who[1]}"
+
+    def _resolve(self, names: Sequence[str], condition: str, *, settled: bool = False) -> None:
+        """Replace processes, or end the run by an account of who is to blame.
+
+        Raises:
+            CosimError: the run is over.
+        """
+        orchestration = self._orchestration
+        moments = {name: self._moment(name) for name in names}
+        objections = []
+        if self._plan.on_worker_loss == "restart" and EMULATOR not in names:
+            for name in names:
+                objection = orchestration.why_not_replaced(name, moments[name])
+                if objection is None:
+                    self._replace(name, moments[name], condition)
+                else:
+                    objections.append((name, objection))
+            if not objections:
+                return
+            names = [name for name, _ in objections]
+        if not settled:
+            self._settle(names)
+        if orchestration.failure is not None:
+            raise orchestration.failure.error
+        raise self._account(names, condition, moments[names[0]], [f"{name} {why}" for name, why in objections])
+
+    def _moment(self, name: str) -> Moment:
+        """When it was lost, and at which agent."""
+        share = self._orchestration.workers.get(name)
+        known = self._processes.moment(name)
+        if share is None or known is None:
+            return Moment(self._orchestration.position(name))
+        return known if known.agent is None else replace(known, agent=share[known.agent])
+
+    def _replace(self, name: str, moment: Moment, condition: str) -> None:
+        who = carried(self._plan, name, self._orchestration.workers)
+        self._processes.dismiss(name)
+        new, messages = self._orchestration.replace(name, moment)
+        send(self._hub, messages)
+        self._processes.start([new])
+        entry = {"worker": name, "replaced_by": new, "why": condition, "tick": moment.tick}
+        self._tell(f"{who} {condition} {self._when(moment)}; {new} takes its place", entry)
+
+    # --- accounts of faults -----------------------------------------------------------------------------------------
+    def _account(self, names: Sequence[str], condition: str, moment: Moment, further: Sequence[str]) -> ClusterError:
+        workers = self._orchestration.workers
+        who = " and ".join(carried(self._plan, name, workers) for name in names)
+        lines = [f"{who} {condition} {self._when(moment)}", *further]
+        lines += waits(self._plan, workers, self._orchestration.standing(), names)
+        return ClusterError("\n  ".join(lines))
+
+    def _when(self, moment: Moment) -> str:
+        """When it was, and what was being done."""
+        seconds = to_seconds(max(0, moment.tick) * self._plan.period_ns)
+        text = when(moment) if moment.tick < 0 else f"{when(moment)} (t = {seconds:.9g} s)"
+        if moment.agent is not None:
+            agent = self._plan.agents[moment.agent]
+            doing = "initialised" if moment.tick < 0 else "advanced"
+            names = ", ".join(component.name for component in agent.components)
+            text += f", while it {doing} agent {agent.name} ({names})"
+        return text
+
+    def _settle(self, but: Collection[str] = ()) -> None:
+        """Take what is still under way, so that all that is complete is recorded, and learn how far everybody is.
+
+        Args:
+            but: of these no answer is expected.
+        """
+        orchestration = self._orchestration
+        send(self._hub, orchestration.ask())
         deadline = time.monotonic() + _SETTLE_SECONDS
         while (left := deadline - time.monotonic()) > 0:
             try:
-                send(self._hub, self._orchestration.handle(self._hub.receive(left)))
+                send(self._hub, orchestration.handle(self._hub.receive(left)))
             except (PeerLost, WireError):
                 continue
             except (TransportTimeout, CosimError):
                 return
+            if orchestration.all_answered(but):
+                if orchestration.settled(but):
+                    return
+                send(self._hub, orchestration.ask())
 
     def _dismiss(self, seconds: float) -> None:
         """Send everybody home, and wait for them."""

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from cosim.agents import Agents
 from cosim.distributed.assignment import EMULATOR, ORCHESTRATOR, Message, Share, batch_ticks, blocks, pick
 from cosim.distributed.failure import INITIALISING, OPENING, Failure
 from cosim.errors import ConfigError, RunError
 from cosim.plan import AgentPlan, Plan
 from network import codec
-from network.messages import Floats, Mail
+from network.messages import Floats, Ints, Mail
 from network.transport import Envelope, Kind, WireError
 
 
@@ -25,9 +27,11 @@ class Worker:
         plan: of the whole run.
         name: of this worker.
         workers: the agents of every worker.
+        whereabouts: (2,) kept up to date for whoever looks at it from outside: the tick, and which of its agents is
+            being advanced from it, -1 for none. Where the tick is `OPENING` or `INITIALISING`, it is that.
     """
 
-    def __init__(self, plan: Plan, name: str, workers: Mapping[str, Share]) -> None:
+    def __init__(self, plan: Plan, name: str, workers: Mapping[str, Share], whereabouts: Ints | None = None) -> None:
         self._plan = plan
         self._share = workers[name]
         self._batch_ticks = batch_ticks(plan)
@@ -36,6 +40,7 @@ class Worker:
         self._sizes = [subscription.size for subscription in plan.bridge.subscribe]
         self._rows: list[Floats] = []
         self._tick = 0
+        self._whereabouts = np.zeros(2, np.int64) if whereabouts is None else whereabouts
         self._started = self._failed = False
         self.finished = False
 
@@ -50,14 +55,17 @@ class Worker:
 
     def prepare(self) -> list[Message]:
         """Open the agents and bring them to tick 0."""
+        self._whereabouts[:] = OPENING, -1
         try:
-            self._agents = Agents(self._plan, self._own)
+            self._agents = Agents(self._plan, self._own, self._whereabouts[1:])
         except (RunError, ConfigError) as error:
             return self._fail(Failure(OPENING, self._index_of(error), error))
+        self._whereabouts[0] = INITIALISING
         try:
             self._agents.initialise()
         except RunError as error:
             return self._fail(Failure(INITIALISING, self._index_of(error), error))
+        self._whereabouts[0] = 0
         return [Message(ORCHESTRATOR, Kind.READY, 0)]
 
     def handle(self, envelope: Envelope) -> list[Message]:
@@ -69,6 +77,8 @@ class Worker:
         if envelope.kind is Kind.BYE and envelope.sender == ORCHESTRATOR:
             self.finished = True
             return []
+        if envelope.kind is Kind.PING:
+            return [*self.flush(), self._position(envelope.tick)]
         if self._failed:  # what was under way when it failed
             return []
         if not self._started:
@@ -102,6 +112,7 @@ class Worker:
         except RunError as error:
             return self._fail(Failure(self._tick, self._index_of(error), error))
         self._tick += 1
+        self._whereabouts[0] = self._tick
         return self._publish()
 
     def _publish(self) -> list[Message]:
@@ -113,6 +124,12 @@ class Worker:
         samples = codec.encode_samples(self._wire, agents.samples())
         messages = [Message(EMULATOR, Kind.SAMPLES, self._tick, samples)]
         return messages + self.flush() if len(self._rows) >= self._batch_ticks else messages
+
+    def _position(self, question: int) -> Message:
+        """How far it is, for the account of a fault."""
+        published = min(self._tick + 1, self._plan.ticks) if self._started else 0
+        position = {"tick": self._tick, "samples": published}
+        return Message(ORCHESTRATOR, Kind.PONG, question, codec.encode_object(position))
 
     def _fail(self, failure: Failure) -> list[Message]:
         self._failed = True

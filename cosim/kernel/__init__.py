@@ -23,7 +23,7 @@ from network.units import to_seconds
 if TYPE_CHECKING:
     from cosim.memory import LoopMemory
     from cosim.wiring import Wiring
-    from network.messages import Mail
+    from network.messages import Ints, Mail
 
 _LATEST_NS = 2**53
 """Up to here (104 days) a time in nanoseconds is exact as a float64, as the kernel needs it."""
@@ -59,12 +59,15 @@ class NativeBlock:
         members: in ascending order of their index.
         memory: of these and possibly other agents.
         period_ns: T.
+        attended: (1,) takes the index of the member that is being advanced.
 
     Raises:
         ConfigError: the library is missing, a component is no FMU, or a connected variable holds no numbers.
     """
 
-    def __init__(self, members: Sequence[Member], memory: LoopMemory, period_ns: int) -> None:
+    def __init__(
+        self, members: Sequence[Member], memory: LoopMemory, period_ns: int, attended: Ints | None = None
+    ) -> None:
         self._advance = layout.library().cosim_kernel_advance
         self._memory = memory
         self._period_ns = period_ns
@@ -75,7 +78,8 @@ class NativeBlock:
         components = [row for kind, fmus in zip(self._kinds, self._fmus, strict=True) for row in kind.rows(fmus)]
         self._components = np.array(components, np.dtype(layout.Component))
         self._members = self._table()
-        self._block = layout.Block(len(members), period_ns, self._members.ctypes.data)
+        self._attended = np.zeros(1, np.int64) if attended is None else attended
+        self._block = layout.Block(len(members), period_ns, self._members.ctypes.data, self._attended.ctypes.data)
         self._address = ctypes.addressof(self._block)
 
     def advance(self, tick: int, mail: Mail) -> Failed | None:

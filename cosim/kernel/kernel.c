@@ -93,6 +93,7 @@ EXPORT int64_t cosim_kernel_advance(const Block *block, int64_t tick, const Mail
     for (int64_t i = 0; i < block->n_members; i++) {
         const Member *member = &block->members[i];
         Agent *agent = member->agent;
+        *block->attended = member->place;
         agent->components = member->components;
         agent->signals = member->signals;
         agent->previous = member->previous;

@@ -175,6 +175,7 @@ typedef struct {
     int64_t n_members;
     int64_t period_ns;
     const Member *members;
+    volatile int64_t *attended; /* the place of the member that is being advanced: others look at it */
 } Block;
 
 static inline double to_seconds(int64_t nanoseconds) { return (double)nanoseconds / NANOSECONDS_PER_SECOND; }

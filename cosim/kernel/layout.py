@@ -143,7 +143,7 @@ class Member(ctypes.Structure):
 class Block(ctypes.Structure):
     """Agents that are advanced by one call."""
 
-    _fields_ = (("n_members", c_int64), ("period_ns", c_int64), ("members", c_void_p))
+    _fields_ = (("n_members", c_int64), ("period_ns", c_int64), ("members", c_void_p), ("attended", c_void_p))
 
 
 @functools.cache

@@ -110,6 +110,7 @@ def plan(scenario: Scenario) -> Planned:
         scenario=resolved_text(scenario, agents, [blueprints[agent.name] for agent in agents], edges, workers),
         workers=workers,
         bridge=bridged.plan,
+        on_worker_loss=scenario.spec.on_worker_loss,
     )
     return Planned(planned, problems.warnings)
 

@@ -53,6 +53,7 @@ def resolved_text(
         "analysis": spec.analysis.model_dump(mode="json", by_alias=True, exclude_unset=True),
         "workers": _workers(agents, workers),
         "bridge": _bridge(spec.bridge, agents),
+        "on_worker_loss": "" if spec.on_worker_loss == "abort" else spec.on_worker_loss,
     }
     return dump({key: value for key, value in tree.items() if value not in ({}, "", None)})
 

@@ -113,7 +113,7 @@ class Recorder:
             raise folder_problem(where, f"cannot write the run folder: {error.strerror or error}") from None
 
     def add(self, details: Mapping[str, Any]) -> None:
-        """Further entries for the manifest, which are known only at the end; `close` writes them."""
+        """Further entries for the manifest, or other ones; they are written when it is."""
         self._manifest |= details
 
     def tick(self, tick: int, row: Floats) -> None:

@@ -440,6 +440,11 @@ class ScenarioSpec(Spec):
         "each of them carries, by name. Results do not depend on it.",
     )
     bridge: BridgeSpec = BridgeSpec()
+    on_worker_loss: Literal["abort", "restart"] = Field(
+        "abort",
+        description="Across processes, when a worker is killed, ends or hangs: abort ends the run; restart replaces "
+        "it by a new process that does over what was lost, with the same results.",
+    )
 
 
 def json_schema() -> dict[str, Any]:

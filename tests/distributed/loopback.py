@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import random
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
+from itertools import count
 
-from cosim.distributed.assignment import EMULATOR, Job, Share, divide
+from cosim.distributed.assignment import EMULATOR, Job, Share, divide, renamed
 from cosim.distributed.orchestration import Orchestration
+from cosim.distributed.replacement import Moment
 from cosim.distributed.serving import Machine, machine, send
 from cosim.inline import Observer
 from cosim.plan import Plan
-from network.transport import Endpoint, InMemoryNetwork, Kind, Tamper, TransportTimeout
+from network.transport import InMemoryEndpoint, InMemoryNetwork, Kind, PeerLost, Tamper, TransportTimeout
 
 
 class Loopback:
@@ -24,6 +26,7 @@ class Loopback:
         order: decides whose turn it is; some processes may be slower than others.
         tamper: sees every frame.
         paced: whether ticks are released one by one, whenever the orchestrator finds nothing else to do.
+        losses: how many times a worker, the last one to join among them, is killed.
     """
 
     def __init__(
@@ -35,39 +38,70 @@ class Loopback:
         tamper: Tamper | None = None,
         *,
         paced: bool = False,
+        losses: int = 0,
     ) -> None:
         if isinstance(workers, int):
             workers = divide(len(plan.agents), workers)
         self._network = InMemoryNetwork("loopback", tamper)
         self._hub = self._network.hub()
-        self._endpoints: dict[str, Endpoint] = {name: self._network.connect(name) for name in (EMULATOR, *workers)}
+        self._endpoints: dict[str, InMemoryEndpoint] = {
+            name: self._network.connect(name) for name in (EMULATOR, *workers)
+        }
         self._machines: dict[str, Machine] = {}
+        self._dead: set[str] = set()
         self._order = order
         self._ticks = plan.ticks
         self._weights = [order.choice([1, 1, 5, 20]) for _ in (*self._endpoints, "orchestrator")]
+        self._kills = sorted(order.sample(range(60 * plan.ticks * len(workers)), losses), reverse=True)
+        self.caught_up: list[str] = []
         self.orchestration = Orchestration(plan, workers, observers, paced=paced)
 
     def run(self) -> None:
         with ExitStack() as stack:
             stack.callback(lambda: [served.close() for served in self._machines.values()])
             send(self._hub, self.orchestration.begin())
-            names = [*self._endpoints, "orchestrator"]
             idle = 0
-            while not self.orchestration.finished:
-                (name,) = self._order.choices(names, self._weights)
+            for step in count():
+                if self.orchestration.finished:
+                    break
+                if self._kills and step >= self._kills[-1]:
+                    self._kills.pop()
+                    self._kill(self._order.choice(self.orchestration.processes[1:]))
+                (name,) = self._order.choices([*self._endpoints, "orchestrator"], self._weights)
                 idle = 0 if self._step(name) else idle + 1
-                assert idle < 5000, f"nobody gets further: {self.orchestration.blockage()}"
+                assert idle < 5000, f"nobody gets further: {self.orchestration.standing()}"
+
+    def _kill(self, name: str) -> None:
+        """End a worker without a word."""
+        if name in self._machines:
+            self._machines.pop(name).close()
+        self._endpoints[name].kill()
+        self._dead.add(name)
+
+    def _replace(self, name: str) -> None:
+        """Another process for a worker that is gone; in its place, so that it is as slow."""
+        moment = Moment(self.orchestration.position(name), None, known=True)
+        assert self.orchestration.why_not_replaced(name, moment) is None
+        new, messages = self.orchestration.replace(name, moment)
+        self._endpoints = renamed(self._endpoints, name, new)
+        self._endpoints[new] = self._network.connect(new)
+        send(self._hub, messages + self.orchestration.employ([new]))
 
     def _step(self, name: str) -> bool:
         """Let a process handle one message, or flush; whether it did anything."""
         if name == "orchestrator":
-            with suppress(TransportTimeout):
+            try:
                 send(self._hub, self.orchestration.handle(self._hub.receive(0)))
-                return True
-            if self.orchestration.unready or self.orchestration.released == self._ticks:
-                return False
-            send(self._hub, self.orchestration.release(self.orchestration.released + 1))
+            except PeerLost as lost:
+                self._replace(lost.name)
+            except TransportTimeout:
+                if self.orchestration.unready or self.orchestration.released == self._ticks:
+                    return False
+                send(self._hub, self.orchestration.release(self.orchestration.released + 1))
+            self.caught_up += [name for name, _ in self.orchestration.caught_up()]
             return True
+        if name in self._dead:
+            return False
         endpoint = self._endpoints[name]
         try:
             envelope = endpoint.receive(0)

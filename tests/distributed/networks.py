@@ -33,11 +33,13 @@ def scenario(
     seed: int = 1,
     ticks: int = 12,
     faults: Mapping[int, tuple[str, float]] | None = None,
+    on_worker_loss: str = "abort",
 ) -> str:
     """Nodes from 1 to `n_agents`; `faults` gives some of them another class, and when its fault happens."""
     faults = faults or {}
     lines = [
         "name: little",
+        f"on_worker_loss: {on_worker_loss}",
         f"seed: {seed}",
         "period: 100 ms",
         f"duration: {ticks * 100} ms",
@@ -73,12 +75,12 @@ def ring(n_agents: int) -> Edges:
 
 
 @st.composite
-def scenarios(draw: st.DrawFn) -> str:
+def scenarios(draw: st.DrawFn, on_worker_loss: str = "abort") -> str:
     n_agents = draw(st.integers(1, 5))
     pairs = [(i, j) for i in range(1, n_agents + 1) for j in range(1, n_agents + 1) if i != j]
     edges = draw(st.lists(st.sampled_from(pairs), unique=True)) if pairs else []
     channel, seed = draw(st.sampled_from(sorted(CHANNELS))), draw(st.integers(0, 2**31))
-    return scenario(n_agents, edges, channel, seed, ticks=draw(st.integers(1, 12)))
+    return scenario(n_agents, edges, channel, seed, draw(st.integers(1, 12)), on_worker_loss=on_worker_loss)
 
 
 def planned(text: str) -> Plan:

@@ -6,6 +6,7 @@ import math
 import os
 import signal
 from collections.abc import Mapping
+from pathlib import Path
 from time import sleep
 from typing import Any
 
@@ -89,3 +90,26 @@ class OrphanMaker(Node):
     def fault(self, time: float) -> None:
         os.kill(os.getppid(), signal.SIGKILL)
         signal.pause()
+
+
+class Once(Node):
+    """A fault that happens to the first process that comes to it, not to the one that replaces it."""
+
+    def fault(self, time: float) -> None:
+        try:
+            (Path(os.environ["COSIM_TEST_FOLDER"]) / "done").touch(exist_ok=False)
+        except FileExistsError:
+            return
+        super().fault(time)
+
+
+class OnceHanging(Once, Hanging):
+    """Hangs once."""
+
+
+class OnceStopped(Once, Stopped):
+    """Is stopped once."""
+
+
+class OnceExiting(Once, Exiting):
+    """Exits once."""

@@ -42,6 +42,23 @@ def test_any_small_network_in_any_order_gives_what_the_in_process_run_gives(
     assert record == expected
 
 
+@settings(deadline=None, max_examples=60)
+@given(
+    text=scenarios(on_worker_loss="restart"),
+    n_workers=st.integers(1, 4),
+    losses=st.integers(1, 3),
+    seed=st.integers(0, 2**31),
+)
+def test_any_small_network_survives_the_loss_of_any_worker_at_any_moment(
+    text: str, n_workers: int, losses: int, seed: int
+) -> None:
+    plan = planned(text)
+    expected, _ = in_process(plan)
+    record = Record()
+    Loopback(plan, n_workers, [record], random.Random(seed), losses=losses).run()
+    assert record == expected
+
+
 @pytest.mark.parametrize("n_workers", [1, 2, 10])
 @pytest.mark.parametrize("config", SHIPPED)
 def test_shipped_scenario(config: str, n_workers: int) -> None:

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import os
 import random
 import re
 import signal
 import subprocess
 import sys
-import tempfile
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -23,85 +19,17 @@ import pytest
 from cosim.distributed import cluster
 from cosim.errors import ClusterError
 from cosim.inline import Interrupted
-from network.messages import Fates, Floats
 from tests.distributed.networks import Record, in_process, planned, ring, scenario
-
-ROOT = Path(__file__).parents[2]
-
-
-def command(*arguments: str) -> list[str]:
-    return [sys.executable, "-m", "cosim", "run", *arguments, "--no-report"]
-
-
-def environment(folder: Path) -> dict[str, str]:
-    """All temporary files go to `folder`, so that what is left behind is seen."""
-    return {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(folder)}
-
-
-def cosim(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Returns when the command, and all that it started, are gone: they share its output."""
-    return subprocess.run(
-        command(*arguments),
-        cwd=folder,
-        env=environment(folder),
-        text=True,
-        capture_output=True,
-        timeout=120,
-        check=False,
-    )
-
-
-def manifest(folder: Path) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads((folder / "manifest.json").read_text())
-    return content
-
-
-def assert_nothing_left(folder: Path) -> None:
-    """No temporary folder or socket, and no process that was told of one."""
-    assert list(folder.glob("cosim-*")) == []
-    lines = [path.read_bytes() for path in Path("/proc").glob("[0-9]*/cmdline") if path.exists()]
-    assert [line for line in lines if b"_process" in line and str(folder).encode() in line] == []
-
-
-@pytest.fixture
-def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    return tmp_path
-
-
-class At:
-    """An observer that does something when a tick is recorded."""
-
-    def __init__(self, tick: int, act: Any) -> None:
-        self._tick = tick
-        self._act = act
-
-    def tick(self, tick: int, rows: Sequence[Floats]) -> None:
-        if tick == self._tick:
-            self._act()
-
-    def fates(self, fates: Fates) -> None:
-        pass
-
-
-def child(name: str) -> int:
-    """The process of that name among those that this one started."""
-    for path in Path("/proc").glob("[0-9]*"):
-        try:
-            words = (path / "cmdline").read_bytes().split(b"\0")
-            parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
-        except OSError:
-            continue
-        if parent == os.getpid() and b"_process" in words and name.encode() in words:
-            return int(path.name)
-    raise LookupError(name)
-
-
-def assert_begins(record: Record, whole: Record) -> None:
-    """All that was recorded is what the in-process run records."""
-    assert record.calls == whole.calls[: len(record.calls)]
-    assert record.ticks == whole.ticks[: len(record.ticks)]
-    assert record.fates_of == whole.fates_of[: len(record.fates_of)]
+from tests.distributed.processes import (
+    At,
+    assert_begins,
+    assert_nothing_left,
+    child,
+    command,
+    cosim,
+    environment,
+    manifest,
+)
 
 
 def assert_begins_on_disk(folder: Path, text: str, said: str) -> None:
@@ -227,12 +155,14 @@ def test_worker_that_is_killed(tick: int, channel: str, scratch: Path) -> None:
     with pytest.raises(ClusterError) as caught:
         cluster.run(plan, 2, [record])
     said = re.fullmatch(
-        r"worker-2 \(agents 3, 4\) was killed by signal 9 \(SIGKILL, as the system does when memory runs out\); "
-        r"last heard of at tick (\d+) \(t = \S+ s\)\n  waiting for it: the emulator, worker-1 \(agents 1, 2\)",
+        r"worker-2 \(agents 3, 4\) was killed by signal 9 \(SIGKILL, as the system does when memory runs out\) "
+        rf"at tick {tick} \(t = {tick / 10:g} s\), while it advanced agent 3 \(node\)\n"
+        r"  the emulator waits for the samples of tick (\d+) from worker-2 \(agents 3, 4\)\n"
+        r"  worker-1 \(agents 1, 2\) waits for the mail of tick (\d+) from the emulator",
         str(caught.value),
     )
     assert said is not None, str(caught.value)
-    assert int(said[1]) <= tick  # what it had just sent may have died with it
+    assert int(said[1]) <= tick + 1 <= int(said[2])  # what it had just sent may have died with it
     assert_begins(record, expected)
     assert_nothing_left(scratch)
 
@@ -243,7 +173,7 @@ def test_process_that_is_killed_from_outside_at_any_moment(name: str, scratch: P
     record = Record()
     with pytest.raises(ClusterError, match=rf"^(the )?{name} .*was killed by signal 9 .* at tick \d+ ") as caught:
         cluster.run(plan, 2, [record, At(100, lambda: os.kill(child(name), signal.SIGKILL))])
-    assert "waiting for it: " in str(caught.value)
+    assert str(caught.value).count(" wait") == (1 if name == "emulator" else 2), str(caught.value)
     expected, _ = in_process(planned(scenario(4, ring(4), "slack", ticks=len(record.ticks))))
     assert len(record.ticks) > 100
     assert_begins(Record(record.ticks, [], []), Record(expected.ticks, [], []))
@@ -266,12 +196,12 @@ def test_worker_that_does_not_go_on(fault: str, deadline: float, said: str, scra
     with pytest.raises(ClusterError) as caught:
         cluster.run(plan, 3, [record], step_deadline=deadline)
     found = re.fullmatch(
-        rf"worker-2 \(agent 2\) {re.escape(said)}; last heard of at tick (\d+) \(t = \S+ s\)\n"
-        r"  waiting for it: the emulator, worker-1 \(agent 1\), worker-3 \(agent 3\)",
+        rf"worker-2 \(agent 2\) {re.escape(said)} at tick 4 \(t = 0.4 s\), while it advanced agent 2 \(node\)\n"
+        r"  the emulator waits for the samples of tick \d from worker-2 \(agent 2\)\n"
+        r"  worker-1 \(agent 1\) and worker-3 \(agent 3\) wait for the mail of tick \d from the emulator",
         str(caught.value),
     )
     assert found is not None, str(caught.value)
-    assert int(found[1]) <= 4
     assert_begins(record, expected)
     assert_nothing_left(scratch)
 

@@ -1,0 +1,175 @@
+"""`on_worker_loss: restart`: a run survives the loss of any of its workers at any moment, with the same results."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cosim.distributed import cluster
+from cosim.errors import ClusterError
+from tests.distributed.networks import Record, in_process, planned, ring, scenario
+from tests.distributed.processes import At, assert_begins, assert_nothing_left, child, cosim, manifest
+
+SEEDS = int(os.environ.get("COSIM_FAULT_SEEDS", "4"))
+"""How many moments chance picks; the sweep before a release takes 500."""
+
+TICKS = 200
+
+
+class Told:
+    """What people are told, and what the manifest says."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.restarts: list[Mapping[str, Any]] = []
+
+    def __call__(self, text: str, restart: Mapping[str, Any] | None) -> None:
+        self.lines.append(text)
+        if restart is not None:
+            self.restarts.append(restart)
+
+
+def lossy(ticks: int = TICKS, **more: Any) -> str:
+    return scenario(4, ring(4), "lossy", ticks=ticks, on_worker_loss="restart", **more)
+
+
+@pytest.fixture(scope="module")
+def undisturbed() -> Record:
+    record, error = in_process(planned(lossy()))
+    assert error is None
+    return record
+
+
+class Assassin:
+    """Sends a signal to workers at moments drawn from a seed, whether the run has begun or not."""
+
+    def __init__(self, seed: int) -> None:
+        self._random = random.Random(seed)
+        self._started = time.monotonic()
+        self._left = self._random.randint(1, 3)
+        self._due = self._random.uniform(0, 3)
+
+    def __call__(self) -> bool:
+        """To be asked whether to stop the run: never."""
+        if self._left and time.monotonic() - self._started > self._due:
+            victims = [pid for i in (1, 2, 3) for pid in carriers(f"worker-{i}")]
+            if victims:
+                os.kill(self._random.choice(victims), signal.SIGKILL)
+                self._left -= 1
+                self._due += self._random.uniform(0, 1)
+        return False
+
+
+def carriers(role: str) -> list[int]:
+    """The process that has, or took, the place of a worker."""
+    for name in [role, *(f"{role}.{i}" for i in range(2, 9))]:
+        try:
+            return [child(name)]
+        except LookupError:
+            continue
+    return []
+
+
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_workers_killed_at_random_moments(seed: int, scratch: Path, undisturbed: Record) -> None:
+    record, told = Record(), Told()
+    cluster.run(planned(lossy()), 3, [record], Assassin(seed), told)
+    assert record == undisturbed
+    assert told.restarts
+    assert_nothing_left(scratch)
+
+
+def test_several_workers_lost_at_once_and_again_while_they_catch_up(scratch: Path, undisturbed: Record) -> None:
+    record, told = Record(), Told()
+
+    def kill_all() -> None:
+        for name in ("worker-1", "worker-2", "worker-3"):
+            os.kill(child(name), signal.SIGKILL)
+
+    def kill_again(text: str, restart: Mapping[str, Any] | None) -> None:
+        told(text, restart)
+        if restart is not None and restart["replaced_by"] == "worker-2.2":
+            os.kill(child("worker-2.2"), signal.SIGKILL)
+
+    cluster.run(planned(lossy()), 3, [record, At(TICKS // 2, kill_all)], tell=kill_again)
+    assert record == undisturbed
+    assert {"worker-1.2", "worker-2.2", "worker-2.3", "worker-3.2"} <= {entry["replaced_by"] for entry in told.restarts}
+    assert_nothing_left(scratch)
+
+
+@pytest.mark.parametrize("tick", [0, TICKS - 1])
+def test_worker_lost_in_the_first_and_last_ticks(tick: int, scratch: Path, undisturbed: Record) -> None:
+    record = Record()
+    cluster.run(planned(lossy()), 2, [record, At(tick, lambda: os.kill(child("worker-1"), signal.SIGKILL))])
+    assert record == undisturbed
+    assert_nothing_left(scratch)
+
+
+@pytest.mark.parametrize("fault", ["Stopped", "Hanging", "Exiting"])
+def test_worker_that_does_not_go_on_once(
+    fault: str, scratch: Path, undisturbed: Record, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The component looks for a file, and leaves one: its fault happens once."""
+    monkeypatch.setenv("COSIM_TEST_FOLDER", str(scratch))
+    text = lossy(faults={2: (f"Once{fault}", 10.05)})
+    record, told = Record(), Told()
+    cluster.run(planned(text), 2, [record], tell=told, step_deadline=1.5)
+    assert record == undisturbed
+    assert len(told.restarts) == 1
+    assert told.restarts[0] | {"why": ""} == {
+        "worker": "worker-1",
+        "replaced_by": "worker-1.2",
+        "why": "",
+        "tick": 100,
+    }
+    assert "while it advanced agent 2 (node); worker-1.2 takes its place" in told.lines[0]
+    assert told.lines[-1].startswith("worker-1.2 (agents 1, 2) has caught up at tick 10")
+    assert_nothing_left(scratch)
+
+
+def test_component_that_always_kills_its_process_is_given_up(scratch: Path, undisturbed: Record) -> None:
+    record, told = Record(), Told()
+    with pytest.raises(ClusterError) as caught:
+        cluster.run(planned(lossy(faults={3: ("Killed", 3.05)})), 2, [record], tell=told)
+    lines = str(caught.value).splitlines()
+    assert lines[0].startswith("worker-2.2 (agents 3, 4) was killed by signal 9 ")
+    assert lines[0].endswith("at tick 30 (t = 3 s), while it advanced agent 3 (node)")
+    assert lines[1] == "  worker-2.2 was lost twice at tick 30: it is not replaced again"
+    assert len(told.restarts) == 1
+    assert len(record.ticks) > 1
+    assert_begins(record, undisturbed)
+    assert_nothing_left(scratch)
+
+
+def test_loss_of_the_emulator_ends_the_run(scratch: Path, undisturbed: Record) -> None:
+    record = Record()
+    with pytest.raises(ClusterError, match=r"^the emulator was killed by signal 9 "):
+        cluster.run(planned(lossy()), 2, [record, At(20, lambda: os.kill(child("emulator"), signal.SIGKILL))])
+    assert_begins(record, undisturbed)
+    assert_nothing_left(scratch)
+
+
+def test_command_line_and_manifest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COSIM_TEST_FOLDER", str(tmp_path))
+    (tmp_path / "net.yaml").write_text(scenario(4, ring(4), ticks=60, faults={1: ("OnceExiting", 3.05)}))
+    (tmp_path / "plain.yaml").write_text(scenario(4, ring(4), ticks=60))
+    across = cosim(tmp_path, "net.yaml", "--distributed", "--on-worker-loss", "restart", "--out", "a", "--workers", "2")
+    assert across.returncode == 0, across.stderr
+    assert "worker-1 (agents 1, 2) ended with exit code 7 at tick 30 (t = 3 s), while it advanced agent 1 (node); " in (
+        across.stderr
+    )
+    assert "worker-1.2 (agents 1, 2) has caught up at tick " in across.stderr
+    assert cosim(tmp_path, "plain.yaml", "--out", "b").returncode == 0
+    one, other = manifest(tmp_path / "a"), manifest(tmp_path / "b")
+    assert (one["status"], one["digest"]) == ("complete", other["digest"])
+    assert one["distributed"]["restarts"] == [
+        {"worker": "worker-1", "replaced_by": "worker-1.2", "why": "ended with exit code 7", "tick": 30}
+    ]
+    assert_nothing_left(tmp_path)
