@@ -14,6 +14,7 @@ import pytest
 
 from cosim.distributed import cluster
 from cosim.errors import ClusterError
+from network.messages import Fates, Floats
 from tests.distributed.networks import Record, in_process, planned, ring, scenario
 from tests.distributed.processes import At, assert_begins, assert_nothing_left, child, cosim, manifest
 
@@ -48,23 +49,34 @@ def undisturbed() -> Record:
 
 
 class Assassin:
-    """Sends a signal to workers at moments drawn from a seed, whether the run has begun or not."""
+    """Kills one to three workers at moments drawn from a seed: while they start, or when some tick is recorded."""
 
     def __init__(self, seed: int) -> None:
         self._random = random.Random(seed)
         self._started = time.monotonic()
-        self._left = self._random.randint(1, 3)
-        self._due = self._random.uniform(0, 3)
+        self._ticks = sorted(self._random.choices(range(TICKS // 2), k=self._random.randint(0, 2)))
+        self._seconds = sorted(self._random.uniform(0, 1) for _ in range(self._random.randint(not self._ticks, 1)))
 
     def __call__(self) -> bool:
         """To be asked whether to stop the run: never."""
-        if self._left and time.monotonic() - self._started > self._due:
-            victims = [pid for i in (1, 2, 3) for pid in carriers(f"worker-{i}")]
-            if victims:
-                os.kill(self._random.choice(victims), signal.SIGKILL)
-                self._left -= 1
-                self._due += self._random.uniform(0, 1)
+        if self._seconds and time.monotonic() - self._started > self._seconds[0] and self._kill():
+            self._seconds.pop(0)
         return False
+
+    def tick(self, tick: int, row: Floats) -> None:
+        """As an observer."""
+        if self._ticks and tick >= self._ticks[0]:
+            self._ticks.pop(0)
+            self._kill()
+
+    def fates(self, fates: Fates) -> None:
+        """Not needed."""
+
+    def _kill(self) -> bool:
+        victims = [pid for i in (1, 2, 3) for pid in carriers(f"worker-{i}")]
+        if victims:
+            os.kill(self._random.choice(victims), signal.SIGKILL)
+        return bool(victims)
 
 
 def carriers(role: str) -> list[int]:
@@ -79,8 +91,8 @@ def carriers(role: str) -> list[int]:
 
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_workers_killed_at_random_moments(seed: int, scratch: Path, undisturbed: Record) -> None:
-    record, told = Record(), Told()
-    cluster.run(planned(lossy()), 3, [record], Assassin(seed), told)
+    record, told, assassin = Record(), Told(), Assassin(seed)
+    cluster.run(planned(lossy()), 3, [record, assassin], assassin, tell=told)
     assert record == undisturbed
     assert told.restarts
     assert_nothing_left(scratch)
