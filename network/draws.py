@@ -120,36 +120,37 @@ class Draws:
         return uniforms
 
 
-def _initial_words(seed: int, path: str, n: int) -> Words:
-    """(n,) words keyed by (seed, path, element)."""
-    key = _words(_digest(16, "initial", str(seed), path))
+def _initial_words(seed: int, paths: Sequence[str], n: int) -> Words:
+    """(n_paths, n) words keyed by (seed, path, element)."""
+    keys = _words(b"".join(_digest(16, "initial", str(seed), path) for path in paths)).reshape(-1, 2)
     zero = np.zeros(1, np.uint64)
-    return threefry2x64((np.arange(n, dtype=np.uint64), zero), (key[:1], key[1:]))[0]
+    return threefry2x64((np.arange(n, dtype=np.uint64), zero), (keys[:, :1].copy(), keys[:, 1:].copy()))[0]
 
 
-def initial_uniform(seed: int, path: str, n: int) -> Floats:
+def initial_uniform(seed: int, paths: Sequence[str], n: int) -> Floats:
     """Uniform initial conditions.
 
     Args:
         seed: of the run.
-        path: whose value it is, for instance `arm3.plant.p`. Different paths give independent numbers.
-        n: number of elements; element i is the same whatever `n` is.
+        paths: whose values they are, for instance `arm3.plant.p`. Different paths give independent numbers.
+        n: number of elements of each; element i is the same whatever `n` is.
 
     Returns:
-        (n,) float64 in [0, 1).
+        (n_paths, n) float64 in [0, 1).
     """
-    return _unit(_initial_words(seed, path, n))
+    return _unit(_initial_words(seed, paths, n))
 
 
-def initial_normal(seed: int, path: str, n: int) -> Floats:
+def initial_normal(seed: int, paths: Sequence[str], n: int) -> Floats:
     """Standard normal initial conditions: the inverse distribution function of keyed uniforms; arguments as above.
 
     Returns:
-        (n,) float64 of mean 0 and variance 1.
+        (n_paths, n) float64 of mean 0 and variance 1.
     """
     from statistics import NormalDist
 
     # 52 bits and half a step: symmetric about 1/2, and never 0 or 1, where the inverse is infinite.
-    probabilities = ((_initial_words(seed, path, n) >> 12) + 0.5) * 2.0**-52
+    probabilities = ((_initial_words(seed, paths, n) >> 12) + 0.5) * 2.0**-52
     inverse = NormalDist().inv_cdf
-    return np.array([inverse(probability) for probability in probabilities.tolist()], dtype=np.float64)
+    values = [inverse(probability) for probability in probabilities.ravel().tolist()]
+    return np.array(values, dtype=np.float64).reshape(probabilities.shape)

@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from cosim.components.component import Variable
+from cosim.components.component import Value, Variable
 from cosim.errors import Problem
 from cosim.plan import AgentPlan, AnalysisPlan, ComponentPlan, MailboxPlan, Method, Plan
 from cosim.planning.analysis import Member, plan_analysis
-from cosim.planning.blueprint import Blueprint, draw_up
+from cosim.planning.blueprint import Blueprint, Part, draw_up
 from cosim.planning.bridge import Bridged, plan_bridge
 from cosim.planning.coupling import warn_of_order
 from cosim.planning.describing import Describer
@@ -80,10 +80,8 @@ def plan(scenario: Scenario) -> Planned:
     for blueprint in _each_once(blueprints.values()):
         problems.next_view()
         mailboxes[id(blueprint)] = mailbox_of(blueprint, message, bridged.feeds(names_of[id(blueprint)]))
-    members = [
-        Member(name, tuple(_components(name, blueprint, scenario.spec.seed)), blueprint.record)
-        for name, blueprint in blueprints.items()
-    ]
+    components = _components(blueprints, names_of.values(), scenario.spec.seed)
+    members = [Member(name, components[name], blueprint.record) for name, blueprint in blueprints.items()]
     analysis = AnalysisPlan()
     if len(members) == len(scenario.agents) and scenario.doubts.all_agents_known:
         analysis = plan_analysis(scenario, members, problems)
@@ -206,10 +204,29 @@ def _agents(  # noqa: PLR0917
         )
 
 
-def _components(agent: str, blueprint: Blueprint, seed: int) -> Iterable[ComponentPlan]:
-    for part in blueprint.parts:
-        start = {name: draw(value, seed, f"{agent}.{part.name}.{name}") for name, value in part.start.items()}
-        yield ComponentPlan(part.name, part.origin.path, part.origin.python, part.description, start)
+def _components(
+    blueprints: Mapping[str, Blueprint], alike: Iterable[Sequence[str]], seed: int
+) -> Mapping[str, tuple[ComponentPlan, ...]]:
+    """The components of every agent; numbers are drawn for all agents alike at once."""
+    found: dict[str, tuple[ComponentPlan, ...]] = {}
+    for names in alike:
+        parts = blueprints[names[0]].parts
+        of_part = [_starts(part, names, seed) for part in parts]
+        for name, starts in zip(names, zip(*of_part, strict=True), strict=True):
+            found[name] = tuple(
+                ComponentPlan(part.name, part.origin.path, part.origin.python, part.description, start)
+                for part, start in zip(parts, starts, strict=True)
+            )
+    return found
+
+
+def _starts(part: Part, agents: Sequence[str], seed: int) -> list[dict[str, tuple[Value, ...]]]:
+    """The start values of a component, per agent."""
+    drawn = {
+        name: draw(value, seed, [f"{agent}.{part.name}.{name}" for agent in agents])
+        for name, value in part.start.items()
+    }
+    return [{name: values[i] for name, values in drawn.items()} for i in range(len(agents))]
 
 
 def _check_feedthrough(

@@ -208,7 +208,7 @@ class _Planner:
         if written is None:
             values = variable.start or (0.0,) * variable.size
         else:
-            values = draw(written, self._scenario.spec.seed, f"{agent}.{part.name}.{variable.name}")
+            values = draw(written, self._scenario.spec.seed, [f"{agent}.{part.name}.{variable.name}"])[0]
         return tuple(float(value) for value in values)
 
 

@@ -40,18 +40,24 @@ def is_settable(variable: Variable) -> bool:
     return variable.causality in _SETTABLE and variable.variability != "constant" and not computed
 
 
-def draw(value: Sequence[Element], seed: int, path: str) -> tuple[Value, ...]:
-    """The elements with every distribution replaced by its draw.
+def draw(value: Sequence[Element], seed: int, paths: Sequence[str]) -> list[tuple[Value, ...]]:
+    """Per path, the elements with every distribution replaced by its draw.
 
     Args:
         value: one element per number.
         seed: of the run.
-        path: `agent.component.variable`; the draw depends on nothing else, so another agent changes none.
+        paths: `agent.component.variable`; a draw depends on nothing else, so another agent changes none.
     """
     kinds = {type(element) for element in value}
-    uniform = initial_uniform(seed, path, len(value)).tolist() if Uniform in kinds else []
-    normal = initial_normal(seed, path, len(value)).tolist() if Normal in kinds else []
-    return tuple(_drawn(element, i, uniform, normal) for i, element in enumerate(value))
+    nothing: list[list[float]] = [[]] * len(paths)
+    uniforms = initial_uniform(seed, paths, len(value)).tolist() if Uniform in kinds else nothing
+    normals = initial_normal(seed, paths, len(value)).tolist() if Normal in kinds else nothing
+    if uniforms is nothing and normals is nothing:
+        return [tuple(_drawn(element, i, [], []) for i, element in enumerate(value))] * len(paths)
+    return [
+        tuple(_drawn(element, i, uniform, normal) for i, element in enumerate(value))
+        for uniform, normal in zip(uniforms, normals, strict=True)
+    ]
 
 
 def _drawn(element: Element, i: int, uniform: Sequence[float], normal: Sequence[float]) -> Value:

@@ -144,17 +144,22 @@ def test_an_integer_with_one_choice() -> None:
 
 
 def test_initial_conditions_are_keyed_by_seed_path_and_element() -> None:
-    values = initial_uniform(1, "arm1.plant.p", 4)
-    assert initial_uniform(1, "arm1.plant.p", 2).tolist() == values[:2].tolist()
-    assert len({*values.tolist(), *initial_uniform(1, "arm2.plant.p", 4), *initial_uniform(2, "arm1.plant.p", 4)}) == 12
-    assert initial_uniform(1, "x", 0).shape == initial_normal(1, "x", 0).shape == (0,)
+    values = initial_uniform(1, ["arm1.plant.p"], 4)[0]
+    assert initial_uniform(1, ["arm1.plant.p"], 2)[0].tolist() == values[:2].tolist()
+    assert (
+        len(
+            {*values.tolist(), *initial_uniform(1, ["arm2.plant.p"], 4)[0], *initial_uniform(2, ["arm1.plant.p"], 4)[0]}
+        )
+        == 12
+    )
+    assert initial_uniform(1, ["x"], 0)[0].shape == initial_normal(1, ["x"], 0)[0].shape == (0,)
 
 
 def test_initial_conditions_have_their_distributions() -> None:
-    assert stats.kstest(initial_uniform(1, "arm1.plant.p", 20_000), "uniform").pvalue > FALSE_ALARM
-    assert stats.kstest(initial_normal(1, "arm1.plant.p", 20_000), "norm").pvalue > FALSE_ALARM
+    assert stats.kstest(initial_uniform(1, ["arm1.plant.p"], 20_000)[0], "uniform").pvalue > FALSE_ALARM
+    assert stats.kstest(initial_normal(1, ["arm1.plant.p"], 20_000)[0], "norm").pvalue > FALSE_ALARM
 
 
 def test_normals_are_the_quantiles_of_the_same_words_as_the_uniforms() -> None:
-    uniform, normal = initial_uniform(9, "x", 1000), initial_normal(9, "x", 1000)
+    uniform, normal = initial_uniform(9, ["x"], 1000)[0], initial_normal(9, ["x"], 1000)[0]
     assert np.allclose(stats.norm.cdf(normal), uniform, atol=1e-15, rtol=1e-12)

@@ -86,9 +86,9 @@ def test_what_takes_a_start_value(changes: dict[str, Any], settable: bool) -> No
 def test_every_element_is_drawn_for_itself(seed: int, kinds: list[Any]) -> None:
     distributions = {"u": Uniform(uniform=[-2.0, 3.0]), "n": Normal(normal=[0.0, 1.0])}
     value = tuple(distributions.get(kind, kind) for kind in kinds)
-    drawn = draw(value, seed, "a.b.c")
+    drawn = draw(value, seed, ["x", "a.b.c"])[1]
     assert len(drawn) == len(value)
     for i, kind in enumerate(kinds):
         assert kind != "u" or -2 <= float(drawn[i]) < 3
         assert kind != 1.5 or drawn[i] == 1.5
-    assert draw(value, seed, "a.b.c") == drawn
+    assert draw(value, seed, ["x", "a.b.c"])[1] == drawn

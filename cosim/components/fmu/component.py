@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import functools
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -62,7 +63,7 @@ class FmuComponent(Component):
         self._failed = False
         self._fmi = file.fmi
         self._types = FMI2_TYPES if file.fmi == 2 else FMI3_TYPES
-        self._buffers: dict[tuple[str, int], Buffer] = {}
+        self._buffers: dict[tuple[Any, ...], Buffer] = file.buffers
         try:
             self._fmu = open_library(file, interface)
             self._fmu.instanceName = name
@@ -122,7 +123,7 @@ class FmuComponent(Component):
 
     # --- values -----------------------------------------------------------------------------------------------------
     def _buffer(self, variable: Variable) -> Buffer:
-        key = (variable.name, variable.size)
+        key = (variable.name, variable.shape, variable.references)
         buffer = self._buffers.get(key)
         if buffer is None:
             if variable.dtype not in self._types:
@@ -184,18 +185,25 @@ class FmuComponent(Component):
     # --- Model Exchange ---------------------------------------------------------------------------------------------
     def _resize(self, n_states: int) -> None:
         self.n_states = n_states
-        self._vector = np.zeros(n_states)
-        self._vector_pointer = self._vector.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+        self.__dict__.pop("_vector", None)
+
+    @functools.cached_property
+    def _vector(self) -> tuple[Floats, Any]:
+        """Memory for the states, and a pointer to it; the native loop does without."""
+        vector = np.zeros(self.n_states)
+        return vector, vector.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
 
     def _get_vector(self, function: str) -> Floats:
+        vector, pointer = self._vector
         if self.n_states:
-            self._call(function, self._vector_pointer, self.n_states)
-        return self._vector.copy()
+            self._call(function, pointer, self.n_states)
+        return vector.copy()
 
     def _set_vector(self, function: str, values: Floats) -> None:
+        vector, pointer = self._vector
         if self.n_states:
-            self._vector[:] = values
-            self._call(function, self._vector_pointer, self.n_states)
+            vector[:] = values
+            self._call(function, pointer, self.n_states)
 
     def update_discrete_states(self) -> float | None:
         for _ in range(DISCRETE_STATE_ITERATIONS):
