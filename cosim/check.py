@@ -61,7 +61,7 @@ def absent(plan: Plan) -> list[Problem]:
 
 def describe(plan: Plan) -> str:
     """The report: what runs, what the graph and the channels allow, and the paper's published condition."""
-    sections = (_summary(plan), _agents(plan), _graph(plan), _channels(plan), _condition(plan))
+    sections = (_summary(plan), _agents(plan), _graph(plan), _channels(plan), _bridge(plan), _condition(plan))
     return "\n\n".join("\n".join(section) for section in sections if section)
 
 
@@ -178,6 +178,36 @@ def _channels(plan: Plan) -> list[str]:
 
 def _plain(value: object) -> str:
     return " to ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+# --- who is outside ---------------------------------------------------------------------------------------------------
+
+
+def _bridge(plan: Plan) -> list[str]:
+    """What others find on which keys, and what they are to send."""
+    bridge, names = plan.bridge, [agent.name for agent in plan.agents]
+    published, taken = [], []
+    for publication in bridge.publish:
+        name, size = names[publication.agent], publication.part.stop - publication.part.start
+        variable = f"{publication.variable}[{size}]"
+        published.append((name, f"{_template(publication.key, name)}: {variable} as {publication.encoding}"))
+    for agent in plan.agents:
+        for external in agent.external:
+            subscription = bridge.subscribe[external.subscription]
+            port = external.port
+            variable = f"{agent.components[port.component].name}.{port.variable.name}[{subscription.size}]"
+            start = [f"{number:.6g}" for number in external.start]
+            first = ", ".join([*start[:4], *(["…"] if start[4:] else [])])
+            said = f"{variable} as {subscription.encoding}, at first {first}"
+            taken.append((agent.name, f"{_template(subscription.key, agent.name)}: {said}"))
+    lines = [f"Bridge: {bridge.where}"] if bridge else []
+    for label, values in (("publishes", published), ("takes", taken)):
+        lines += [_line(label, f"{what}; agents {who}") for what, who in _grouped(values)]
+    return lines
+
+
+def _template(key: str, agent: str) -> str:
+    return "/".join("{agent}" if chunk == agent else chunk for chunk in key.split("/"))
 
 
 # --- the paper's condition --------------------------------------------------------------------------------------------

@@ -22,6 +22,10 @@ EXTERNAL = "external.parquet"
 """File of a run folder: what was taken from outside, which the resolved scenario beside it replays."""
 
 
+BRIDGE_LISTEN = "tcp/127.0.0.1:7447"
+"""Where others find a bridge that says nothing else: Zenoh's own port, on this host alone."""
+
+
 class Method(StrEnum):
     """How the components of an agent are coupled between two events."""
 
@@ -191,6 +195,14 @@ class BridgePlan:
 
     def __bool__(self) -> bool:
         return bool(self.publish or self.subscribe)
+
+    @property
+    def where(self) -> str:
+        """For people: `listens at tcp/127.0.0.1:7447`."""
+        if self.replay is not None:
+            return f"replays {self.replay}"
+        ways = (("listens at", self.listen), ("is connected to", self.connect))
+        return " and ".join(f"{verb} {', '.join(endpoints)}" for verb, endpoints in ways if endpoints)
 
 
 @dataclass(frozen=True)

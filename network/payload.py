@@ -162,7 +162,8 @@ def _from_cdr(payload: bytes) -> Floats:
 
     dimensions = word()
     for _ in range(dimensions):  # ends at the latest with the bytes: each takes some
-        at += word()  # the label
+        label = word()
+        at += label
         word(), word()  # size and stride
     word()  # data_offset
     count = word()

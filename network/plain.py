@@ -16,9 +16,6 @@ import zenoh
 from network.transport import TransportError
 from network.zenoh import open_session  # sets up Zenoh's threads, so it comes first
 
-DEFAULT_LISTEN: Final = "tcp/127.0.0.1:7447"
-"""Where others find a run that says nothing else: Zenoh's own port, on this host alone."""
-
 _KEPT: Final = 64
 """Messages of one key that are kept between two ticks; of more, the oldest are forgotten."""
 

@@ -52,10 +52,10 @@ def open_bridge(plan: Plan, warn: Callable[[str], None]) -> Iterator[Bridge | No
     Raises:
         ConfigError: the recording that is to be replayed cannot be used, or an endpoint cannot be opened.
     """
-    if plan.bridge.replay is not None and plan.bridge.subscribe:
+    if plan.bridge and plan.bridge.replay is not None:
         from cosim.bridge.replay import Replay
 
-        yield Replay(plan.bridge.replay, plan.bridge.subscribe)
+        yield Replay(plan.bridge)
     elif plan.bridge:
         from cosim.bridge.live import Live
 

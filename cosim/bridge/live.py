@@ -14,14 +14,8 @@ from cosim.errors import ConfigError, Problem
 from cosim.plan import Plan, Subscription
 from network.messages import Fates
 from network.payload import PayloadError, attachment, decode, encode, largest
-from network.plain import DEFAULT_LISTEN, Arrival, PlainKeys
+from network.plain import Arrival, PlainKeys
 from network.transport import TransportError
-
-
-def endpoints(plan: Plan) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Where a bridge listens and where it connects."""
-    bridge = plan.bridge
-    return bridge.listen or (() if bridge.connect else (DEFAULT_LISTEN,)), bridge.connect
 
 
 class Live:
@@ -39,7 +33,7 @@ class Live:
         self._plan = plan
         self._publish, self._subscribe = plan.bridge.publish, plan.bridge.subscribe
         self._warn = warn
-        listen, connect = endpoints(plan)
+        listen, connect = plan.bridge.listen, plan.bridge.connect
         keys = [(publication.key, publication.encoding.mime) for publication in self._publish]
         try:
             self._keys = PlainKeys(listen, connect, keys, [subscription.key for subscription in self._subscribe])
@@ -53,8 +47,7 @@ class Live:
         self._published = 0
         self._taken = [0] * len(self._subscribe)
         self._refused = [0] * len(self._subscribe)
-        ways = (("listens at", listen), ("is connected to", connect))
-        self.where = " and ".join(f"{verb} {', '.join(where)}" for verb, where in ways if where)
+        self.where = plan.bridge.where
 
     def __enter__(self) -> Self:
         return self

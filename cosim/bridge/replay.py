@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from cosim.bridge import Taken
 from cosim.components.component import Floats
 from cosim.errors import ConfigError, Location, Problem, suggest
-from cosim.plan import Subscription
+from cosim.plan import BridgePlan
 from cosim.recording.table import numbers
 from network.messages import Fates
 
@@ -20,16 +20,15 @@ class Replay:
     """Takes at every tick what an earlier run took, and publishes nothing; see `cosim.bridge.Bridge`.
 
     Args:
-        path: `external.parquet` of that run.
-        subscribe: the keys; one that is not in the recording never brings anything.
+        plan: of the bridge. A key that is not in the recording never brings anything.
 
     Raises:
         ConfigError: the file cannot be used.
     """
 
-    def __init__(self, path: Path, subscribe: Sequence[Subscription]) -> None:
-        self._path = path
-        self.where = f"replays {path}"
+    def __init__(self, plan: BridgePlan) -> None:
+        self._path, subscribe = plan.replay or Path(), plan.subscribe
+        self.where = plan.where
         self._values: dict[int, dict[int, Floats]] = {}
         ticks, keys, values = self._read()
         index_of = {subscription.key: index for index, subscription in enumerate(subscribe)}

@@ -9,11 +9,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from cosim.components.component import Value, Variable
-from cosim.errors import Problem
+from cosim.errors import ConfigError, Problem
 from cosim.plan import AgentPlan, AnalysisPlan, ComponentPlan, MailboxPlan, Method, Plan
 from cosim.planning.analysis import Member, plan_analysis
 from cosim.planning.blueprint import Blueprint, Part, draw_up
-from cosim.planning.bridge import Bridged, plan_bridge
+from cosim.planning.bridge import Bridged, missing_replay, plan_bridge
 from cosim.planning.coupling import warn_of_order
 from cosim.planning.describing import Describer
 from cosim.planning.division import plan_workers
@@ -57,7 +57,11 @@ def load(config: str, settings: Sequence[str] = (), *, seed: int | None = None, 
         overrides.append(Override("seed", str(seed), "--seed"))
     if until is not None:
         overrides.append(Override("duration", until, "--until"))
-    return plan(read_scenario(configs.find(config), overrides=overrides))
+    scenario = read_scenario(configs.find(config), overrides=overrides)
+    planned = plan(scenario)
+    if (missing := missing_replay(scenario, planned.plan)) is not None:
+        raise ConfigError([missing])
+    return planned
 
 
 def plan(scenario: Scenario) -> Planned:

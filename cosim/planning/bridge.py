@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from cosim.components.component import Variable
-from cosim.errors import Location
-from cosim.plan import BridgePlan, External, Port, Publication, Subscription
+from cosim.errors import Location, Problem
+from cosim.plan import BRIDGE_LISTEN, BridgePlan, External, Plan, Port, Publication, Subscription
 from cosim.planning.blueprint import Blueprint
 from cosim.planning.graph import known_agents
 from cosim.planning.ports import numbers
@@ -47,6 +47,7 @@ def plan_bridge(scenario: Scenario, blueprints: Mapping[str, Blueprint], problem
         problems: where mistakes go.
     """
     spec, root = scenario.spec.bridge, scenario.root
+    _check_endpoints(scenario, problems)
     planner = _Planner(scenario, blueprints, problems)
     publish = [
         publication
@@ -58,7 +59,7 @@ def plan_bridge(scenario: Scenario, blueprints: Mapping[str, Blueprint], problem
     planner.sort()
     replay = None if spec.replay is None else scenario.folder(root.locate("bridge", "replay")) / spec.replay
     plan = BridgePlan(
-        listen=tuple(spec.listen),
+        listen=tuple(spec.listen) or (() if spec.connect else (BRIDGE_LISTEN,)),
         connect=tuple(spec.connect),
         publish=tuple(publish),
         subscribe=tuple(planner.subscriptions),
@@ -67,6 +68,30 @@ def plan_bridge(scenario: Scenario, blueprints: Mapping[str, Blueprint], problem
     if not spec.publish and not spec.subscribe and root.find("bridge"):
         problems.warning("the bridge publishes nothing and takes nothing", root.locate("bridge", key=True))
     return Bridged(plan, {name: tuple(inputs) for name, inputs in planner.external.items()})
+
+
+def missing_replay(scenario: Scenario, plan: Plan) -> Problem | None:
+    """That the recording to be replayed is not there. Whoever plans for a worker does not need it."""
+    replay = plan.bridge.replay
+    if replay is None or replay.is_file():
+        return None
+    return Problem(f"there is no file {replay}", scenario.root.locate("bridge", "replay"))
+
+
+def _check_endpoints(scenario: Scenario, problems: Problems) -> None:
+    """Whoever reaches an endpoint can set inputs: beyond this host that takes TLS, or the user's word."""
+    from network.access import Endpoint
+
+    spec = scenario.spec.bridge
+    for section, endpoints in (("listen", spec.listen), ("connect", spec.connect)):
+        for index, text in enumerate(endpoints):
+            endpoint = Endpoint.of(text)
+            if endpoint.protocol not in ("tls", "quic") and not endpoint.stays_here and not spec.insecure:
+                problems.error(
+                    f"{text} is reached from beyond this host, and whoever does can read and set what the bridge has; "
+                    "use tls/, a tunnel to tcp/127.0.0.1:7447, or 'insecure: true' where nobody else is on the network",
+                    scenario.root.locate("bridge", section, index),
+                )
 
 
 class _Planner:

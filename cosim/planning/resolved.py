@@ -210,6 +210,7 @@ def _bridge(spec: BridgeSpec, agents: Sequence[AgentPlan]) -> Tree:
     tree: Tree = {
         "listen": spec.listen,
         "connect": spec.connect,
+        "insecure": spec.insecure,
         "publish": [entry.model_dump(mode="json", exclude_unset=True) for entry in spec.publish],
         "subscribe": [tree for entry in spec.subscribe for tree in _subscriptions(entry, agents)],
         "replay": EXTERNAL if spec.subscribe else None,

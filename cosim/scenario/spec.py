@@ -408,6 +408,9 @@ class BridgeSpec(Spec):
         [], description="Where others connect; tcp/127.0.0.1:7447 if neither this nor connect is given."
     )
     connect: list[Endpoint] = Field([], description="Routers to connect to, such as tcp/192.168.0.7:7447.")
+    insecure: bool = Field(
+        False, description="Listen and connect beyond this host without TLS, where nobody else is on the network."
+    )
     replay: str | None = Field(
         None, description="external.parquet of an earlier run, relative to this file, instead of the outside."
     )
