@@ -66,11 +66,6 @@ class Master:
         self._awaiting_exchange = False
         self.tick = 0
 
-    @property
-    def waiting_for(self) -> frozenset[int]:
-        """Blocks whose samples of the current tick are not in yet."""
-        return frozenset(self._missing)
-
     def published(self, block: int, tick: int, values: Floats) -> Emulate | Finish | None:
         """The samples of a block are in, one row per agent; an instruction once all are.
 

@@ -49,11 +49,14 @@ def carried(plan: Plan, name: str, workers: Mapping[str, Share]) -> str:
 
 def waits(plan: Plan, workers: Mapping[str, Share], standing: Standing, culprits: Sequence[str]) -> list[str]:
     """One line for all processes that wait for the same, except the culprits'."""
+    lines = []
+    if EMULATOR not in culprits:
+        lines.append(f"the emulator {_reason(plan, workers, standing, EMULATOR)[0]}")
     by_reason: dict[tuple[str, str], list[str]] = {}
-    for name in (EMULATOR, *workers):
+    for name in workers:
         if name not in culprits:
             by_reason.setdefault(_reason(plan, workers, standing, name), []).append(name)
-    return [
+    return lines + [
         f"{_together(plan, workers, names)} {one if len(names) == 1 else many}"
         for (one, many), names in by_reason.items()
     ]

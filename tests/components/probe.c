@@ -35,6 +35,8 @@ enum {
     NEVER_CONVERGES,
     DERIVATIVE_NAN,
     DERIVATIVE_JUMPS,
+    DERIVATIVE_HANGS,
+    DERIVATIVE_CRASHES,
 };
 
 typedef struct {
@@ -224,6 +226,9 @@ fmi3Status fmi3GetContinuousStates(fmi3Instance i, fmi3Float64 x[], size_t n) {
 }
 fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance i, fmi3Float64 dx[], size_t n) {
     if (mode(i) == DERIVATIVE_ERROR) return (fmi3Status)failed(i, ERROR);
+    if (mode(i) == DERIVATIVE_HANGS && ((Probe *)i)->slots[TIME] > 0.35)
+        for (volatile int forever = 1; forever;) {}
+    if (mode(i) == DERIVATIVE_CRASHES && ((Probe *)i)->slots[TIME] > 0.35) *(volatile int *)NULL = 1;
     if (n) dx[0] = rate(i);
     return fmi3OK;
 }

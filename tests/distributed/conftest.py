@@ -7,6 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.components.probe import probe_library, probes
+
+__all__ = ["probe_library", "probes", "scratch"]
+
 
 @pytest.fixture
 def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:

@@ -71,6 +71,13 @@ class Loopback:
                 idle = 0 if self._step(name) else idle + 1
                 assert idle < 5000, f"nobody gets further: {self.orchestration.standing()}"
 
+    def ask(self) -> None:
+        """Ask everybody how far they are, until all have answered that can."""
+        send(self._hub, self.orchestration.ask())
+        names = [*self._endpoints, "orchestrator"]
+        while sum(self._step(name) for name in names):
+            pass
+
     def _kill(self, name: str) -> None:
         """End a worker without a word."""
         if name in self._machines:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import resource
 import signal
 from collections.abc import Mapping
 from pathlib import Path
@@ -113,3 +114,12 @@ class OnceStopped(Once, Stopped):
 
 class OnceExiting(Once, Exiting):
     """Exits once."""
+
+
+class Greedy(Node):
+    """Wants more memory than its process may have."""
+
+    def fault(self, time: float) -> None:
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (used + (64 << 20), resource.RLIM_INFINITY))
+        self.hoard = bytearray(1 << 30)

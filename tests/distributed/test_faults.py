@@ -1,0 +1,183 @@
+"""What a user learns when something breaks: who is to blame, at which tick, and who waits for whom."""
+
+from __future__ import annotations
+
+import os
+import random
+import re
+import resource
+import shutil
+import signal
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cosim.distributed import cluster
+from cosim.distributed.standing import waits
+from cosim.distributed.survey import Lost
+from cosim.errors import ClusterError
+from network.transport import Kind
+from tests.components.probe import FAILS
+from tests.distributed.loopback import Loopback
+from tests.distributed.networks import Record, in_process, planned, ring, scenario
+from tests.distributed.processes import (
+    At,
+    assert_nothing_left,
+    child,
+    command,
+    cosim,
+    environment,
+    manifest,
+)
+
+
+# --- messages that are lost -------------------------------------------------------------------------------------------
+@settings(deadline=None, max_examples=25)
+@given(tick=st.integers(0, 11), mail=st.booleans(), channel=st.sampled_from(["ideal", "slack"]), seed=st.integers(0))
+def test_message_that_is_lost_is_found_by_asking(tick: int, mail: bool, channel: str, seed: int) -> None:
+    plan = planned(scenario(4, ring(4), channel))
+    ends = ("emulator", "worker-2") if mail else ("worker-2", "emulator")
+    kind, seen = Kind.MAIL if mail else Kind.SAMPLES, 0
+    lost = False
+
+    def tamper(sender: str, receiver: str, frame: bytes) -> Sequence[bytes]:
+        nonlocal seen, lost
+        if (sender, receiver) != ends:
+            return [frame]
+        seen += 1
+        lost = lost or seen == tick + 1
+        return [] if lost else [frame]  # what follows is lost as well: otherwise the gap shows at once
+
+    loop = Loopback(plan, 2, [Record()], random.Random(seed), tamper)
+    slack_hides_it = channel == "slack" and not mail and tick == 11
+    try:
+        loop.run()
+    except AssertionError:
+        for _ in range(2):
+            assert loop.orchestration.lost_message() is None
+            loop.ask()
+        assert loop.orchestration.lost_message() == Lost(kind, tick, *ends)
+    else:
+        assert slack_hides_it
+
+
+def test_nobody_is_suspected_while_all_goes_well() -> None:
+    plan = planned(scenario(4, ring(4)))
+    loop = Loopback(plan, 3, [Record()], random.Random(1))
+    loop.run()
+    for _ in range(3):
+        loop.ask()
+        assert loop.orchestration.lost_message() is None
+    assert loop.orchestration.settled(())
+
+
+def test_many_that_wait_for_the_same_are_told_together() -> None:
+    plan = planned(scenario(12, ring(12)))
+    loop = Loopback(plan, 12, [Record()], random.Random(1), lambda s, r, f: [] if s == "worker-5" else [f])
+    with pytest.raises(AssertionError):
+        loop.run()
+    loop.ask()
+    lines = waits(plan, loop.orchestration.workers, loop.orchestration.standing(), ["worker-5"])
+    assert lines == [
+        "the emulator waits for all to be ready",
+        "11 workers (worker-1..4, worker-6..12) wait for all to be ready",
+    ]
+
+
+# --- processes --------------------------------------------------------------------------------------------------------
+def probes_scenario(probe: Path, fails: str) -> str:
+    """Three agents, of which the second has a fault at t = 0.35 s; all native."""
+    component = f"components: {{probe: {{fmu: {probe}, start: {{fails: %d}}}}}}"
+    return "\n".join(
+        [
+            "name: probes",
+            "period: 100 ms",
+            "duration: 2 s",
+            "agents:",
+            f"  1: {{{component % 0}}}",
+            f"  2: {{{component % FAILS.index(fails)}}}",
+            f"  3: {{{component % 0}}}",
+            "coupling: {method: joint, step: 20 ms}",
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    ("fails", "said"),
+    [
+        ("derivative_hangs", "did not get further for 1 s"),
+        ("derivative_crashes", "was killed by signal 11 (SIGSEGV)"),
+    ],
+)
+def test_native_code_that_hangs_or_crashes(fails: str, said: str, probes: dict[int, Path], scratch: Path) -> None:
+    """All agents of the worker are advanced by one native call: which one it is, is known all the same."""
+    plan = planned(probes_scenario(probes[3], fails))
+    with pytest.raises(ClusterError) as caught:
+        cluster.run(plan, 1, [Record()], step_deadline=1.0)
+    lines = str(caught.value).splitlines()
+    assert lines[0] == f"worker-1 (agents 1..3) {said} at tick 3 (t = 0.3 s), while it advanced agent 2 (probe)"
+    assert re.fullmatch(r"  the emulator waits for the samples of tick \d from worker-1 \(agents 1..3\)", lines[1])
+    assert_nothing_left(scratch)
+
+
+def test_emulator_that_is_stopped(scratch: Path) -> None:
+    plan = planned(scenario(3, ring(3), "slack", ticks=20_000))
+    record = Record()
+    with pytest.raises(ClusterError) as caught:
+        cluster.run(plan, 2, [record, At(20, lambda: os.kill(child("emulator"), signal.SIGSTOP))])
+    lines = str(caught.value).splitlines()
+    assert re.fullmatch(r"the emulator is stopped by signal 19 \(SIGSTOP\) at tick \d+ \(t = \S+ s\)", lines[0])
+    assert re.fullmatch(
+        r"  worker-1 \(agent 1\) and worker-2 \(agents 2, 3\) wait for the mail of tick \d+ from the emulator", lines[1]
+    )
+    assert len(lines) == 2
+    assert_nothing_left(scratch)
+
+
+def test_memory_that_runs_out(tmp_path: Path) -> None:
+    (tmp_path / "net.yaml").write_text(scenario(3, ring(3), faults={2: ("Greedy", 0.35)}))
+    done = cosim(tmp_path, "net.yaml", "--distributed", "--workers", "3", "--out", "out")
+    assert done.returncode == 3
+    assert "agent 2, component node, at t = 0.3" in done.stderr
+    assert "MemoryError" in done.stderr
+    assert manifest(tmp_path / "out")["status"].startswith("aborted: ")
+    assert_nothing_left(tmp_path)
+
+
+@pytest.mark.parametrize("what", ["socket", "folder"])
+def test_files_of_the_run_that_vanish_are_not_needed_any_more(what: str, scratch: Path) -> None:
+    plan = planned(scenario(4, ring(4), ticks=300))
+    expected, _ = in_process(plan)
+    record = Record()
+
+    def vanish() -> None:
+        for folder in scratch.glob("cosim-*"):
+            shutil.rmtree(folder) if what == "folder" else (folder / "hub").unlink()
+
+    cluster.run(plan, 2, [record, At(20, vanish)])
+    assert record == expected
+    assert_nothing_left(scratch)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs RLIMIT_FSIZE")
+def test_disk_that_is_full(tmp_path: Path) -> None:
+    (tmp_path / "net.yaml").write_text(scenario(4, ring(4), "slack", ticks=100_000))
+    done = subprocess.run(
+        command("net.yaml", "--distributed", "--workers", "2", "--out", "out"),
+        cwd=tmp_path,
+        env=environment(tmp_path),
+        text=True,
+        capture_output=True,
+        timeout=120,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, resource.RLIM_INFINITY)),
+    )
+    assert done.returncode == 3, done.stderr
+    assert "File too large" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert manifest(tmp_path / "out")["status"].startswith("aborted: cannot write ")
+    assert_nothing_left(tmp_path)
