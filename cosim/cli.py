@@ -185,24 +185,7 @@ def _parser() -> argparse.ArgumentParser:
 
     run = _command(commands, "run", _run, "run a scenario and draw its report")
     _add_scenario(run)
-    run.add_argument("--out", type=Path, metavar="DIR", help="where the results go (default: runs/<name>/<timestamp>)")
-    run.add_argument("--quiet", action="store_true", help="print nothing but problems")
-    run.add_argument("--no-report", dest="report", action="store_false", help="leave out the figures and report.html")
-    paced = run.add_argument_group("against the wall clock, with the same results")
-    paced.add_argument(
-        "--realtime",
-        type=_factor,
-        nargs="?",
-        const="1",
-        metavar="FACTOR",
-        help="simulated seconds per second of wall time (default: 1)",
-    )
-    paced.add_argument(
-        "--overrun",
-        choices=("warn", "abort", "stretch"),
-        help="when a tick is complete only after its deadline: say so and catch up, end the run, or move the schedule "
-        "(default: warn)",
-    )
+    _add_results(run)
     across = run.add_argument_group("across processes, with the same results")
     across.add_argument("--distributed", action="store_true", help="run emulator and agents in processes of their own")
     across.add_argument(
@@ -215,13 +198,7 @@ def _parser() -> argparse.ArgumentParser:
         choices=("abort", "restart"),
         help="end the run, or replace a worker that is killed, ends or hangs (default: the scenario's, or abort)",
     )
-    across.add_argument(
-        "--step-deadline",
-        type=_seconds,
-        default=30.0,
-        metavar="TIME",
-        help="longest time in which nobody gets further, such as '2 min' (default: 30 s)",
-    )
+    _add_step_deadline(across)
 
     check = _command(
         commands, "check", _check, "validate a scenario, open its components, and say what can be expected"
@@ -244,6 +221,7 @@ def _parser() -> argparse.ArgumentParser:
     _command(commands, "schema", _schema, "print the JSON schema of a scenario, for editors")
     _add_keys(commands)
     _add_fmu(commands)
+    _add_hosts(commands)
     process = commands.add_parser("_process")  # what `cosim run --distributed` starts; not for people
     process.add_argument("name")
     process.add_argument("run")
@@ -310,6 +288,75 @@ def _factor(text: str) -> Fraction:
         return parse_factor(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _add_results(parser: argparse.ArgumentParser) -> None:
+    """What `run` and `serve` have in common."""
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="where the results go (default: runs/<name>/<timestamp>)"
+    )
+    parser.add_argument("--quiet", action="store_true", help="print nothing but problems")
+    parser.add_argument(
+        "--no-report", dest="report", action="store_false", help="leave out the figures and report.html"
+    )
+    paced = parser.add_argument_group("against the wall clock, with the same results")
+    paced.add_argument(
+        "--realtime",
+        type=_factor,
+        nargs="?",
+        const="1",
+        metavar="FACTOR",
+        help="simulated seconds per second of wall time (default: 1)",
+    )
+    paced.add_argument(
+        "--overrun",
+        choices=("warn", "abort", "stretch"),
+        help="when a tick is complete only after its deadline: say so and catch up, end the run, or move the schedule "
+        "(default: warn)",
+    )
+
+
+def _add_step_deadline(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
+    parser.add_argument(
+        "--step-deadline",
+        type=_seconds,
+        default=30.0,
+        metavar="TIME",
+        help="longest time in which nobody gets further, such as '2 min' (default: 30 s)",
+    )
+
+
+def _add_hosts(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    from cosim import cli_hosts
+
+    serve = _command(
+        commands, "serve", cli_hosts.serve, "run a scenario with an emulator and workers that are started by hand"
+    )
+    _add_scenario(serve)
+    where = serve.add_mutually_exclusive_group(required=True)
+    where.add_argument(
+        "--listen", metavar="ENDPOINT", help="where the others connect to, such as tls/0.0.0.0:7447, tcp/127.0.0.1:7447"
+    )
+    where.add_argument("--connect", metavar="ENDPOINT", help="your own Zenoh router, where the others connect as well")
+    cli_hosts.add_place(serve, _seconds, "10 min")
+    serve.add_argument(
+        "--workers",
+        metavar="N",
+        help="how many workers to suggest, or 'per-agent' (default: the scenario's, else cores)",
+    )
+    _add_results(serve)
+    _add_step_deadline(serve)
+
+    emulator = _command(commands, "emulator", cli_hosts.join, "emulate the network of a run that cosim serve plays")
+    cli_hosts.add_guest(emulator, _seconds, "emulator")
+    worker = _command(commands, "worker", cli_hosts.join, "carry agents of a run that cosim serve plays")
+    cli_hosts.add_guest(worker, _seconds, "worker")
+    worker.add_argument(
+        "--agents",
+        metavar="AGENTS",
+        help="that this worker carries, such as 1..5 or 1,4..6; with --name alone, those that the scenario gives it",
+    )
+    worker.add_argument("--name", metavar="NAME", help="of this worker (default: made from the host's)")
 
 
 def _seconds(text: str) -> float:

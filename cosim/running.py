@@ -53,6 +53,23 @@ def main(args: argparse.Namespace) -> int:
     plan = planned.plan
     if absent := check.absent(plan):
         raise ConfigError([*absent, Problem("cosim serve runs this, with workers that have the whole files")])
+    return record(args, plan, _way_to_play)
+
+
+def record(args: argparse.Namespace, plan: Plan, way: Way) -> int:
+    """Play a plan into a run folder, and draw its report.
+
+    Args:
+        args: as of `cosim run`, as far as it has them in common with `cosim serve`.
+        plan: what is played.
+        way: to play it.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        CosimError: the run failed; what was computed until then is on disk.
+    """
     pacer = _pacer(args, plan)
     folder = run_folder(plan.name, args.out)
     restarts: list[Mapping[str, Any]] = []
@@ -63,7 +80,7 @@ def main(args: argparse.Namespace) -> int:
             restarts.append(restart)
             recorder.add({"distributed": {**details["distributed"], "restarts": restarts}})
 
-    play, details = _way_to_play(args, plan, pacer, folder, tell)
+    play, details = way(args, plan, pacer, folder, tell)
     recorder = Recorder(plan, folder, details)
     summary = _Summary(plan, pacer)
     stop = StopRequest()
@@ -103,11 +120,22 @@ def _warn(text: str) -> None:
     say(f"warning: {text}")
 
 
-class _Play(Protocol):
+class Play(Protocol):
+    """A way to play a plan."""
+
     def __call__(
         self, observers: Sequence[Observer], stop_requested: Callable[[], bool], take: Take | None = None
     ) -> None:
         """Play the plan to its end."""
+
+
+class Way(Protocol):
+    """Makes ready to play a plan."""
+
+    def __call__(
+        self, args: argparse.Namespace, plan: Plan, pacer: Pacer | None, folder: Path, tell: Tell
+    ) -> tuple[Play, dict[str, Any]]:
+        """How to play it, and what the manifest says of that."""
 
 
 def _pacer(args: argparse.Namespace, plan: Plan) -> Pacer | None:
@@ -135,7 +163,7 @@ def _accounted(pacer: Pacer | None, recorder: Recorder) -> Iterator[None]:
 
 def _way_to_play(
     args: argparse.Namespace, plan: Plan, pacer: Pacer | None, folder: Path, tell: Tell
-) -> tuple[_Play, dict[str, Any]]:
+) -> tuple[Play, dict[str, Any]]:
     """In this process, or across several; and what the manifest says of it."""
     if not args.distributed:
         for option in ("workers", "on_worker_loss"):

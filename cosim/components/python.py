@@ -244,7 +244,7 @@ def describe_python(dotted: str, structural: Mapping[str, int] | None = None) ->
         for other in variable.dependencies or ():
             if other not in inputs:
                 raise _refuse(f"{dotted}: {name} depends on {other!r}, which is no input{suggest(other, inputs)}")
-    source = inspect.getsourcefile(cls)
+    source = source_file(dotted)
     return Description(
         model=cls.__name__,
         fmi="python",
@@ -252,6 +252,11 @@ def describe_python(dotted: str, structural: Mapping[str, int] | None = None) ->
         variables=variables,
         sha256=hashlib.sha256(Path(source).read_bytes()).hexdigest() if source else "",
     )
+
+
+def source_file(dotted: str) -> str:
+    """The file that a class comes from; empty if there is none."""
+    return inspect.getsourcefile(load(dotted)) or ""
 
 
 def _declarations(cls: type[PythonComponent]) -> dict[str, Declaration]:

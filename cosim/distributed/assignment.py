@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
 from cosim.errors import ClusterError
-from cosim.plan import Plan
+from cosim.plan import ComponentPlan, Plan
+from cosim.scenario.names import in_short
 from network.codec import Block, decode_object, encode_object
 from network.transport import HUB, Envelope, Kind, Part, WireError
 
@@ -146,8 +147,11 @@ class Job:
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise WireError(envelope.sender, f"the message holds no job: {error!r}") from error
 
-    def plan(self) -> Plan:
+    def plan(self, located: Mapping[str, Path] | None = None) -> Plan:
         """Plan the scenario anew.
+
+        Args:
+            located: where FMUs are here, by what the scenario calls them.
 
         Raises:
             ConfigError: the scenario cannot be planned here.
@@ -159,10 +163,9 @@ class Job:
         with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
             path = Path(folder) / "scenario.yaml"
             path.write_text(self.scenario, encoding="utf-8")
-            plan = planning.plan(read_scenario(path, path.name)).plan
+            plan = planning.plan(read_scenario(path, path.name), located).plan
         if _hashes(plan) != self.sha256:
-            different = _first_difference(plan, self.sha256)
-            raise ClusterError(f"the file of component {different} is not the one that the orchestrator has")
+            raise ClusterError(f"other files than those that the orchestrator has: {_differences(plan, self.sha256)}")
         return plan
 
 
@@ -170,7 +173,19 @@ def _hashes(plan: Plan) -> tuple[str, ...]:
     return tuple(component.description.sha256 for agent in plan.agents for component in agent.components)
 
 
-def _first_difference(plan: Plan, expected: Sequence[str]) -> str:
-    names = [f"{component.name} of agent {agent.name}" for agent in plan.agents for component in agent.components]
-    pairs = zip(names, _hashes(plan), expected, strict=False)
-    return next((name for name, here, there in pairs if here != there), "(another number of them)")
+def _differences(plan: Plan, expected: Sequence[str]) -> str:
+    """Every file that differs, and whose it is."""
+    components = [(agent.name, component) for agent in plan.agents for component in agent.components]
+    users: dict[str, list[str]] = {}
+    for (agent, component), sha256 in zip(components, expected, strict=False):
+        if component.description.sha256 != sha256:
+            users.setdefault(_file(component), []).append(agent)
+    return ", ".join(f"{file} (of agents {in_short(names)})" for file, names in users.items())
+
+
+def _file(component: ComponentPlan) -> str:
+    if component.path is not None:
+        return str(component.path)
+    from cosim.components.python import source_file
+
+    return source_file(component.python or "")

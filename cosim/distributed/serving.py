@@ -15,7 +15,7 @@ import tempfile
 import threading
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
@@ -27,6 +27,7 @@ from cosim.distributed.failure import OPENING, Failure
 from cosim.distributed.inheritance import bequest, inherit
 from cosim.distributed.worker import Worker
 from cosim.errors import ClusterError, CosimError
+from cosim.plan import Plan
 from network.messages import Ints
 from network.transport import Endpoint, Envelope, Kind, PeerLost, Refused, TransportTimeout, WireError
 
@@ -65,9 +66,9 @@ class Machine(Protocol):
         """At the end."""
 
 
-def machine(name: str, job: Job, whereabouts: Ints | None = None) -> Machine:
-    """The state machine of the process of that name; a worker keeps its `whereabouts` up to date."""
-    plan = job.plan()
+def machine(name: str, job: Job, whereabouts: Ints | None = None, planned: Callable[[Job], Plan] = Job.plan) -> Machine:
+    """The state machine of the process of that name, its job `planned`; a worker keeps its `whereabouts` up to date."""
+    plan = planned(job)
     if name == EMULATOR:
         in_memory = _MAIL_BYTES // len(job.workers)
         return Emulation(plan, job.workers, lambda: cast(BinaryIO, SpooledTemporaryFile(in_memory)))
@@ -80,12 +81,13 @@ def send(endpoint: Endpoint, messages: Sequence[Message]) -> None:
         endpoint.send(message.receiver, message.kind, message.tick, *message.parts)
 
 
-def serve(endpoint: Endpoint, whereabouts: Ints | None = None) -> None:
+def serve(endpoint: Endpoint, whereabouts: Ints | None = None, planned: Callable[[Job], Plan] = Job.plan) -> None:
     """Take a job from the orchestrator and carry it out until its BYE.
 
     Args:
         endpoint: of this process.
         whereabouts: see `Worker`.
+        planned: plans the job.
 
     Raises:
         PeerLost: the orchestrator is gone.
@@ -99,7 +101,7 @@ def serve(endpoint: Endpoint, whereabouts: Ints | None = None) -> None:
                 return
             if envelope is not None:
                 job = Job.decode(envelope)
-                served = machine(endpoint.name, job, whereabouts)
+                served = machine(endpoint.name, job, whereabouts, planned)
                 hold_back = 0.0 if job.paced else FLUSH_SECONDS
         send(endpoint, served.prepare())
         _carry_out(endpoint, served, hold_back)

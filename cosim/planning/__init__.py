@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from cosim.components.component import Value, Variable
 from cosim.errors import ConfigError, Problem
@@ -64,8 +65,12 @@ def load(config: str, settings: Sequence[str] = (), *, seed: int | None = None, 
     return planned
 
 
-def plan(scenario: Scenario) -> Planned:
+def plan(scenario: Scenario, located: Mapping[str, Path] | None = None) -> Planned:
     """The plan of a scenario that has been read.
+
+    Args:
+        scenario: that has been read.
+        located: where FMUs are to be found, by what the scenario calls them; others are where it says.
 
     Raises:
         ConfigError: everything that is wrong with it.
@@ -74,7 +79,7 @@ def plan(scenario: Scenario) -> Planned:
     ticks = _ticks(scenario, problems)
     edges = resolve_edges(scenario, problems)
     workers = plan_workers(scenario, problems)
-    blueprints = _blueprints(scenario, edges, problems)
+    blueprints = _blueprints(scenario, edges, Describer(scenario, problems, located))
     message = _message(scenario, blueprints, edges, problems)
     bridged = plan_bridge(scenario, blueprints, problems)
     names_of: dict[int, list[str]] = {}
@@ -131,9 +136,8 @@ def _ticks(scenario: Scenario, problems: Problems) -> int:
     return ticks
 
 
-def _blueprints(scenario: Scenario, edges: Sequence[Edge], problems: Problems) -> dict[str, Blueprint]:
+def _blueprints(scenario: Scenario, edges: Sequence[Edge], describer: Describer) -> dict[str, Blueprint]:
     """The blueprint of every agent whose components could be described; agents alike share theirs."""
-    describer = Describer(scenario, problems)
     in_degree = dict.fromkeys(scenario.agents, 0)
     for edge in edges:
         in_degree[edge.receiver] += 1
@@ -141,7 +145,7 @@ def _blueprints(scenario: Scenario, edges: Sequence[Edge], problems: Problems) -
     for name, entry in scenario.agents.items():
         key = (id(entry), in_degree[name])
         if key not in known:
-            problems.next_view()
+            describer.problems.next_view()
             known[key] = draw_up(entry, in_degree[name], describer, scenario.spec.period)
     found = {name: known[id(entry), in_degree[name]] for name, entry in scenario.agents.items()}
     return {name: blueprint for name, blueprint in found.items() if blueprint is not None}

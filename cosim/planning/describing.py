@@ -22,10 +22,17 @@ class Origin:
 
 
 class Describer:
-    """Opens descriptions, each once."""
+    """Opens descriptions, each once.
 
-    def __init__(self, scenario: Scenario, problems: Problems) -> None:
+    Args:
+        scenario: whose components they are.
+        problems: takes what is wrong.
+        located: where FMUs are to be found, by what the scenario calls them; others are where it says.
+    """
+
+    def __init__(self, scenario: Scenario, problems: Problems, located: Mapping[str, Path] | None = None) -> None:
         self._scenario = scenario
+        self._located = located or {}
         self.problems = problems
         self._known: dict[tuple[Origin, tuple[tuple[str, int], ...]], Description | str] = {}
 
@@ -36,6 +43,8 @@ class Describer:
         if spec.fmu is None:
             self.problems.error(f"component {name!r} has neither 'fmu' nor 'python'", where)
             return None
+        if spec.fmu in self._located:
+            return Origin(self._located[spec.fmu], None)
         if is_file(spec.fmu):
             return self._file(spec.fmu, fmu_at)
         import fmus
