@@ -199,7 +199,7 @@ class Lobby:
         if unknown:
             raise Refusal(
                 f"there is no agent {', '.join(unknown[:5])}{' and more' if len(unknown) > 5 else ''}"
-                f"{suggest(unknown[0], self._index)}; the agents are {in_short(self._index)}"
+                f"; the agents are {in_short(self._index)}"
             )
         return share_of({self._index[name] for name in names})
 
