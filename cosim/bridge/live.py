@@ -6,9 +6,8 @@ import itertools
 from collections.abc import Callable
 from typing import Self
 
-import numpy as np
-
 from cosim.bridge import Taken
+from cosim.bridge.checking import fitting
 from cosim.components.component import Floats
 from cosim.errors import ConfigError, Problem
 from cosim.plan import Plan, Subscription
@@ -100,15 +99,3 @@ def checked(subscription: Subscription, arrival: Arrival) -> Floats:
     values = decode(subscription.encoding, arrival.encoding, arrival.payload, subscription.size)
     fitting(subscription, values)
     return values
-
-
-def fitting(subscription: Subscription, values: Floats) -> None:
-    """Whether the inputs can hold values.
-
-    Raises:
-        PayloadError: they cannot.
-    """
-    if np.any(values < subscription.low) or np.any(values > subscription.high):
-        raise PayloadError(f"it has a number that is not from {subscription.low:.9g} to {subscription.high:.9g}")
-    if subscription.whole and np.any(values != np.floor(values)):
-        raise PayloadError("it has a number that is not whole")

@@ -1,8 +1,12 @@
-"""A component with inputs of every type that matters."""
+"""Components with inputs that the outside feeds."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from cosim.components.python import Input, Output, PythonComponent
+from tests.distributed.nodes import Node
 
 
 class Inputs(PythonComponent):
@@ -14,3 +18,12 @@ class Inputs(PythonComponent):
 
     def outputs(self, time: float) -> None:
         self.out = [self.count, float(self.flag)]
+
+
+class Pushed(Node):
+    """x' = mean of what is heard - x + u."""
+
+    u = Input(shape=(2,))
+
+    def derivatives(self, time: float) -> Mapping[str, Any]:
+        return {"x": super().derivatives(time)["x"] + self.u}

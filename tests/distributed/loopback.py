@@ -11,7 +11,7 @@ from cosim.distributed.assignment import EMULATOR, Job, Share, divide, renamed
 from cosim.distributed.orchestration import Orchestration
 from cosim.distributed.replacement import Moment
 from cosim.distributed.serving import Machine, machine, send
-from cosim.inline import Observer
+from cosim.inline import Observer, Take
 from cosim.plan import Plan
 from network.transport import InMemoryEndpoint, InMemoryNetwork, Kind, PeerLost, Tamper, TransportTimeout
 
@@ -27,6 +27,7 @@ class Loopback:
         tamper: sees every frame.
         paced: whether ticks are released one by one, whenever the orchestrator finds nothing else to do.
         losses: how many times a worker, the last one to join among them, is killed.
+        take: gives values from outside.
     """
 
     def __init__(
@@ -39,6 +40,7 @@ class Loopback:
         *,
         paced: bool = False,
         losses: int = 0,
+        take: Take | None = None,
     ) -> None:
         if isinstance(workers, int):
             workers = divide(len(plan.agents), workers)
@@ -54,7 +56,7 @@ class Loopback:
         self._weights = [order.choice([1, 1, 5, 20]) for _ in (*self._endpoints, "orchestrator")]
         self._kills = sorted(order.sample(range(60 * plan.ticks * len(workers)), losses), reverse=True)
         self.caught_up: list[str] = []
-        self.orchestration = Orchestration(plan, workers, observers, paced=paced)
+        self.orchestration = Orchestration(plan, workers, observers, take, paced=paced)
 
     def run(self) -> None:
         with ExitStack() as stack:

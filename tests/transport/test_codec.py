@@ -15,11 +15,13 @@ from hypothesis.extra import numpy as arrays
 
 from network.codec import (
     Block,
+    decode_external,
     decode_fates,
     decode_mail,
     decode_object,
     decode_rows,
     decode_samples,
+    encode_external,
     encode_fates,
     encode_mail,
     encode_object,
@@ -128,6 +130,34 @@ def test_fates_come_out(data: st.DataObject, tick: int, n_ticks: int) -> None:
     for theirs, ours in zip(ticks, came, strict=True):
         for name in ("sender", "receiver", "stamp", "sent", "arrival_ns", "fate"):
             assert same(getattr(theirs, name), getattr(ours, name))
+
+
+@given(st.data(), st.lists(st.integers(1, 3), max_size=4))
+def test_values_from_outside_come_out_and_leave_the_rest(data: st.DataObject, sizes: list[int]) -> None:
+    finite = st.floats(allow_nan=False, allow_infinity=False)
+    chosen = data.draw(st.sets(st.sampled_from(range(len(sizes))))) if sizes else set()
+    taken = {index: data.draw(arrays.arrays(np.float64, sizes[index], elements=finite)) for index in chosen}
+    found, rest = decode_external(sizes, sent([*encode_external(taken), b"the rest"]))
+    assert found.keys() == taken.keys()
+    assert all(same(found[index], taken[index]) for index in taken)
+    assert bytes(rest.body) == b"the rest"
+
+
+@pytest.mark.parametrize(
+    ("body", "what"),
+    [
+        (b"", "has 0 bytes"),
+        (ints(2, 0, 1).tobytes(), "bytes, at least"),
+        (ints(-1).tobytes(), "does not exist"),
+        (ints(2**62).tobytes(), "does not exist"),
+        (ints(1, 2, 0, 0).tobytes(), "does not exist"),
+        (ints(2, 1, 1, 0, 0).tobytes(), "or twice"),
+        (ints(1, 0).tobytes() + np.array([np.nan]).tobytes(), "not finite"),
+    ],
+)
+def test_values_from_outside_that_no_orchestrator_sends_are_refused(body: bytes, what: str) -> None:
+    with pytest.raises(WireError, match=what):
+        decode_external([1, 1], sent([body]))
 
 
 def test_arrays_in_any_order_of_memory_come_out() -> None:
