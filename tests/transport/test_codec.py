@@ -139,7 +139,7 @@ def test_values_from_outside_come_out_and_leave_the_rest(data: st.DataObject, si
     taken = {index: data.draw(arrays.arrays(np.float64, sizes[index], elements=finite)) for index in chosen}
     found, rest = decode_external(sizes, sent([*encode_external(taken), b"the rest"]))
     assert found.keys() == taken.keys()
-    assert all(same(found[index], taken[index]) for index in taken)
+    assert all(same(taken[index], found[index]) for index in taken)
     assert bytes(rest.body) == b"the rest"
 
 
