@@ -194,7 +194,7 @@ def scenario(shape: Shape) -> dict[str, Any]:
         "coupling": {"method": "jacobi", "step": f"{PERIOD_MS} ms"},
         "agents": {name: {"template": "talker"} for name in names},
         "graph": {"channel": "line", "edges": [f"{names[j]} -> {names[i]}" for i, j in sorted(heard) if i != j]},
-        "channels": {"line": {"model": "delay", "delay": f"{AGE * PERIOD_MS} ms"}},
+        "channels": {"line": {"model": "netem", "delay": f"{AGE * PERIOD_MS} ms"}},
     }
 
 

@@ -18,16 +18,16 @@ from collections.abc import Callable
 import numpy as np
 
 from network.channel import ChannelModel
-from network.delay import Delay
 from network.emulator import Emulator
 from network.messages import Fate, Floats, Links, MessageLayout
+from network.netem import Netem
 from network.window import Window
 
 PERIOD_NS = 100_000_000
 LAYOUT = MessageLayout(("p", "v_hat"), (2, 2))
 MODELS: dict[str, ChannelModel] = {
     "window": Window.model_validate({"depth": 10, "delay": ["150 ms", "250 ms"]}),
-    "delay": Delay.model_validate({"delay": ["10 ms", "330 ms"], "loss": "2 %"}),
+    "delay": Netem.model_validate({"delay": ["10 ms", "330 ms"], "loss": "2 %"}),
 }
 
 

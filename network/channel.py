@@ -8,7 +8,8 @@ tick, so that no edge's fate depends on another's. To add one, write the class a
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
@@ -32,6 +33,27 @@ class Transmission:
     delay_ns: Ints
     copy: Ints
 
+    def with_delay(self, delay_ns: Ints) -> Transmission:
+        """The same messages, with other delays."""
+        return replace(self, delay_ns=delay_ns)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a channel is opened for.
+
+    Attributes:
+        links: the edges that it serves.
+        period_ns: T.
+        draws: random numbers of these edges.
+        message_bytes: length of a message, all of which are equally long.
+    """
+
+    links: Links
+    period_ns: int
+    draws: Draws
+    message_bytes: int
+
 
 class Channel(ABC):
     """A live channel over `n` edges that share a profile.
@@ -53,9 +75,14 @@ class ChannelModel(BaseModel, ABC):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    def as_written(self) -> dict[str, Any]:
+        """What a user would write for it, without what goes without saying."""
+        written = self.model_dump(mode="json", by_alias=True, exclude_defaults=True)
+        return {"model": type(self).model_fields["model"].default, **written}
+
     @abstractmethod
-    def open(self, links: Links, period_ns: int, draws: Draws) -> Channel:
-        """The live channel over `links`."""
+    def open(self, setting: Setting) -> Channel:
+        """The live channel."""
 
     @abstractmethod
     def min_delay_ns(self) -> int:
@@ -72,9 +99,3 @@ class ChannelModel(BaseModel, ABC):
 def ceil_to_tick(time_ns: int, period_ns: int) -> int:
     """The first tick at or after a time, in nanoseconds."""
     return -(-time_ns // period_ns) * period_ns
-
-
-def draw_delays(draws: Draws, tick: int, bounds_ns: tuple[int, int]) -> Ints:
-    """(n,) delays of a tick's messages, uniform over the whole nanoseconds from the lowest to the highest."""
-    low, high = bounds_ns
-    return draws.integers("delay", tick, low, high + 1)

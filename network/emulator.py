@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from network.channel import Channel, ChannelModel
+from network.channel import Channel, ChannelModel, Setting
 from network.draws import Draws
 from network.messages import NEVER, Exchange, Fate, Fates, Floats, Ints, Links, Mail, MessageLayout
 
@@ -124,7 +124,7 @@ class Emulator:
         for index, profile in enumerate(profiles.tolist()):
             served = np.flatnonzero(which == index)
             model = channels[profile]
-            self._channels.append((served, self._open(model, links.agents, served, seed)))
+            self._channels.append((served, self._open(model, links.agents, served, seed, 8 * layout.width)))
             slack.append(model.min_delay_ns() // period_ns)
         self._history = max((channel.history for _, channel in self._channels), default=0)
         self.slack = min(slack, default=0)
@@ -188,10 +188,10 @@ class Emulator:
     def _expects(self, tick: int) -> str:
         return "the emulation is finished" if self._finished else f"tick {tick} is next"
 
-    def _open(self, model: ChannelModel, agents: tuple[str, ...], served: Ints, seed: int) -> Channel:
+    def _open(self, model: ChannelModel, agents: tuple[str, ...], served: Ints, seed: int, size: int) -> Channel:
         links = Links(agents, self._sender[served], self._receiver[served], self._slot[served])
         senders, receivers = ([agents[i] for i in ends.tolist()] for ends in (links.sender, links.receiver))
-        return model.open(links, self._period_ns, Draws(seed, senders, receivers))
+        return model.open(Setting(links, self._period_ns, Draws(seed, senders, receivers), size))
 
     # --- routing: a block of ticks at once ---------------------------------------------------------------------------
     def _route(self, first: int) -> _Block:

@@ -7,10 +7,12 @@ from typing import Annotated, Any, get_args
 from pydantic import BeforeValidator, Field
 
 from network.channel import ChannelModel
-from network.delay import Delay, Ideal
+from network.custom import Custom
+from network.netem import Ideal, Netem
+from network.replay import Replay
 from network.window import Window
 
-_Union = Ideal | Delay | Window
+_Union = Ideal | Netem | Window | Replay | Custom
 
 CHANNEL_MODELS: dict[str, type[ChannelModel]] = {cls.model_fields["model"].default: cls for cls in get_args(_Union)}
 """By the name that users write after `model:`."""

@@ -15,6 +15,9 @@ from pydantic import AfterValidator, BeforeValidator, PlainSerializer, WithJsonS
 NANOSECONDS_PER_SECOND = 1_000_000_000
 
 _TIME_UNITS = {"ns": 1, "us": 10**3, "µs": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9}
+_RATE_UNITS = {"": 1.0, "bit": 1.0, "kbit": 1e3, "Mbit": 1e6, "Gbit": 1e9}
+_SIZE_UNITS = {"": 1, "B": 1, "kB": 1000, "MB": 10**6}
+_LARGEST = 10**9  # bytes
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)\s*([^\s\d]*)\s*")
 _LONGEST = 100 * 365 * 24 * 3600 * NANOSECONDS_PER_SECOND  # the sum of two such times still fits 64 bits
 
@@ -96,6 +99,52 @@ def parse_probability(value: Any) -> float:
     return probability
 
 
+def parse_bit_rate(value: Any) -> float:
+    """Bits per second from `"1 Mbit/s"`, `"9600 bit/s"` or a plain number.
+
+    Raises:
+        ValueError: not a positive number with a unit of rate.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise ValueError('a rate is a number with a unit, such as "1 Mbit/s"')  # noqa: TRY004 - for pydantic
+    match = _QUANTITY.fullmatch(str(value))
+    if match is None:
+        raise ValueError(f'{value!r} is not a rate; write a number with a unit, such as "1 Mbit/s"')
+    number, unit = match.groups()
+    scale = _RATE_UNITS.get(unit.removesuffix("/s").removesuffix("ps"))
+    if scale is None:
+        raise ValueError(f"unknown unit of rate {unit!r}; one of bit/s, kbit/s, Mbit/s, Gbit/s")
+    rate = float(number) * scale
+    if rate <= 0:
+        raise ValueError(f"{value!r}: a rate must be more than 0")
+    return rate
+
+
+def parse_size(value: Any) -> int:
+    """Bytes from `"40 B"`, `"1.5 kB"` or a plain whole number.
+
+    Raises:
+        ValueError: not a whole number of bytes.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise ValueError('a size is a number of bytes, such as "40 B"')  # noqa: TRY004 - for pydantic
+    match = _QUANTITY.fullmatch(str(value))
+    if match is None or match.group(2) not in _SIZE_UNITS:
+        raise ValueError(f'{value!r} is not a size; write a number of bytes, such as "40 B" or "1.5 kB"')
+    size = Decimal(match.group(1)) * _SIZE_UNITS[match.group(2)]
+    if size != size.to_integral_value() or abs(size) > _LARGEST:
+        raise ValueError(f"{value!r} is not a whole number of bytes, or is more than a gigabyte")
+    return int(size)
+
+
+def _format_rate(rate: float) -> str:
+    return f"{rate!r} bit/s"
+
+
+def _format_size(size: int) -> str:
+    return f"{size} B"
+
+
 def _not_negative(nanoseconds: int) -> int:
     if nanoseconds < 0:
         raise ValueError(f"{format_duration(nanoseconds)} is negative; it must be 0 or more")
@@ -149,3 +198,26 @@ Probability = Annotated[
         {"oneOf": [{"type": "number", "minimum": 0, "maximum": 1}, {"type": "string", "pattern": r"%\s*$"}]}
     ),
 ]
+
+BitRate = Annotated[
+    float,
+    BeforeValidator(parse_bit_rate),
+    WithJsonSchema(
+        {
+            "oneOf": [
+                {"type": "number", "description": "bits per second"},
+                {"type": "string", "pattern": r"^\s*[0-9.]+([eE][+-]?[0-9]+)?\s*[kMG]?bit(/s|ps)?\s*$"},
+            ]
+        }
+    ),
+    PlainSerializer(_format_rate, return_type=str, when_used="json"),
+]
+"""Bits per second, more than 0."""
+
+Size = Annotated[
+    int,
+    BeforeValidator(parse_size),
+    WithJsonSchema({"oneOf": [{"type": "integer"}, {"type": "string", "pattern": r"^\s*[+-]?[0-9.]+\s*[kM]?B?\s*$"}]}),
+    PlainSerializer(_format_size, return_type=str, when_used="json"),
+]
+"""Bytes."""

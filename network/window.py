@@ -27,20 +27,20 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from network.channel import Channel, ChannelModel, Transmission, ceil_to_tick, draw_delays
+from network.channel import Channel, Setting, Transmission
 from network.draws import Draws
-from network.messages import Links
-from network.units import DurationRange
+from network.impairments.delay import Delay
+from network.profile import Profile
 
 MAX_DEPTH = 10_000  # the state has this many bytes per edge
 
 
-class Window(ChannelModel):
-    """A sample of the last `depth` ticks, picked at random, never the same one twice; uniformly distributed delay."""
+class Window(Profile):
+    """A sample of the last `depth` ticks, picked at random, never the same one twice; then the impairments."""
 
     model: Literal["window"] = "window"
     depth: int = Field(ge=0, le=MAX_DEPTH, description="how many ticks back the sample may lie")
-    delay: DurationRange = Field(description="one time, or the lowest and the highest of a uniform distribution")
+    delay: Delay = Field(description="the paper's is uniform: [150 ms, 250 ms]")
 
     @field_validator("depth", mode="before")
     @classmethod
@@ -49,21 +49,17 @@ class Window(ChannelModel):
             raise ValueError(f"{value!r} is no depth: write a whole number of ticks from 0 to {MAX_DEPTH}, such as 10")
         return value
 
-    def open(self, links: Links, period_ns: int, draws: Draws) -> Channel:  # noqa: ARG002
-        return _WindowChannel(len(links), self.depth, self.delay, draws)
+    def source(self, setting: Setting) -> Channel:
+        return _WindowChannel(len(setting.links), self.depth, setting.draws)
 
-    def min_delay_ns(self) -> int:
-        return self.delay[0]
-
-    def age_bound_ns(self, period_ns: int) -> int | None:
-        """The first of the two bounds that the module's text derives."""
-        return self.depth * period_ns + ceil_to_tick(self.delay[1], period_ns)
+    def source_age_ns(self, period_ns: int) -> int | None:
+        """With the longest delay added, the first of the two bounds that the module's text derives."""
+        return self.depth * period_ns
 
 
 class _WindowChannel(Channel):
-    def __init__(self, n_links: int, depth: int, delay_ns: tuple[int, int], draws: Draws) -> None:
+    def __init__(self, n_links: int, depth: int, draws: Draws) -> None:
         self.history = depth
-        self._delay = delay_ns
         self._draws = draws
         self._links = np.arange(n_links)
         # sent[s % (depth + 1), link]: whether the sample of tick s left; a row is reused once no draw can pick s again.
@@ -79,5 +75,5 @@ class _WindowChannel(Channel):
             leaves &= picked >= 0
         link = np.flatnonzero(leaves)
         self._sent[row[link], link] = True
-        delay = draw_delays(self._draws, tick, self._delay)[link]
-        return Transmission(link, picked[link], delay, np.zeros(len(link), np.int64))
+        zeros = np.zeros(len(link), np.int64)
+        return Transmission(link, picked[link], zeros, zeros)

@@ -49,7 +49,7 @@ def resolved_text(
         "templates": templates,
         "agents": members,
         "graph": _graph(spec.graph.weights, edges),
-        "channels": {n: m.model_dump(mode="json") for n, m in spec.channels.items() if n in used},
+        "channels": {n: m.as_written() for n, m in spec.channels.items() if n in used},
         "analysis": spec.analysis.model_dump(mode="json", by_alias=True, exclude_unset=True),
         "workers": _workers(agents, workers),
         "bridge": _bridge(spec.bridge, agents),

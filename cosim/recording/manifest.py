@@ -219,7 +219,7 @@ def _record(plan: Plan) -> dict[str, dict[str, Any]]:
 def _channels(plan: Plan) -> dict[str, dict[str, Any]]:
     return {
         name: {
-            "model": model.model_dump(mode="json"),
+            "model": model.as_written(),
             "min_delay_ns": model.min_delay_ns(),
             "age_bound_ns": model.age_bound_ns(plan.period_ns),
         }

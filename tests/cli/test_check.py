@@ -84,8 +84,8 @@ def test_a_graph_without_a_root(tmp_path: Path, capsys: pytest.CaptureFixture[st
     ("channel", "sentence"),
     [
         ("{model: ideal}", "holds: h* = 0 s, (mu_i - 1)/2 = 1.30278 s, margin 1.3 s"),
-        ("{model: delay, delay: 2 s}", "does not hold: h* = 2 s, (mu_i - 1)/2 = 1.30278 s, margin -0.7 s"),
-        ("{model: delay, delay: 20 ms, loss: 1 %}", "cannot be evaluated; it would ask for h* < 1.30278 s"),
+        ("{model: netem, delay: 2 s}", "does not hold: h* = 2 s, (mu_i - 1)/2 = 1.30278 s, margin -0.7 s"),
+        ("{model: netem, delay: 20 ms, loss: 1 %}", "cannot be evaluated; it would ask for h* < 1.30278 s"),
     ],
 )
 def test_the_published_condition(

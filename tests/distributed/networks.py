@@ -18,9 +18,9 @@ from tests.network.networks import COLUMNS
 
 CHANNELS = {
     "ideal": "{model: ideal}",
-    "late": "{model: delay, delay: 250 ms}",
-    "lossy": "{model: delay, delay: [10 ms, 320 ms], loss: 20 %}",
-    "slack": "{model: delay, delay: [100 ms, 200 ms], loss: 5 %}",
+    "late": "{model: netem, delay: 250 ms}",
+    "lossy": "{model: netem, delay: [10 ms, 320 ms], loss: 20 %}",
+    "slack": "{model: netem, delay: [100 ms, 200 ms], loss: 5 %}",
     "window": "{model: window, depth: 4, delay: [150 ms, 250 ms]}",
 }
 Edges = Sequence[tuple[int, int]]

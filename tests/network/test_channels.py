@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from network.channel import ChannelModel, Transmission
-from network.delay import Delay, Ideal
+from network.channel import ChannelModel, Setting, Transmission
 from network.draws import Draws
 from network.freshness import EdgeLog, Span, age_of_information, tolerance_front, traffic
 from network.messages import NEVER, Fate
+from network.netem import Ideal, Netem
 from network.units import format_duration
 from network.window import Window
 from tests.network.networks import T, dense_links, logs_of
@@ -29,7 +29,7 @@ PAPER = Window.model_validate({"depth": 10, "delay": ["150 ms", "250 ms"]})
 def _sent(model: ChannelModel, edges: int, ticks: int, seed: int = 1) -> list[Transmission]:
     links = dense_links(edges, 1)
     names = [links.agents[i] for i in links.sender], [links.agents[i] for i in links.receiver]
-    channel = model.open(links, T, Draws(seed, *names))
+    channel = model.open(Setting(links, T, Draws(seed, *names), 24))
     return [channel.transmit(tick) for tick in range(ticks)]
 
 
@@ -45,15 +45,15 @@ def test_an_ideal_channel_sends_everything_at_once() -> None:
 
 
 def test_a_fixed_delay_is_exact() -> None:
-    assert set(_delays(_sent(Delay.model_validate({"delay": "20 ms"}), 50, 50))) == {20 * MS}
+    assert set(_delays(_sent(Netem.model_validate({"delay": "20 ms"}), 50, 50))) == {20 * MS}
 
 
 def test_a_narrow_range_of_delays_has_both_its_ends() -> None:
-    assert set(_delays(_sent(Delay.model_validate({"delay": ["5 ns", "8 ns"]}), 50, 50))) == {5, 6, 7, 8}
+    assert set(_delays(_sent(Netem.model_validate({"delay": ["5 ns", "8 ns"]}), 50, 50))) == {5, 6, 7, 8}
 
 
 @pytest.mark.parametrize(
-    ("model", "low", "high"), [(Delay.model_validate({"delay": ["10 ms", "30 ms"]}), 10, 30), (PAPER, 150, 250)]
+    ("model", "low", "high"), [(Netem.model_validate({"delay": ["10 ms", "30 ms"]}), 10, 30), (PAPER, 150, 250)]
 )
 def test_delays_are_uniform(model: ChannelModel, low: int, high: int) -> None:
     delays = _delays(_sent(model, 200, 200)) / MS
@@ -62,15 +62,15 @@ def test_delays_are_uniform(model: ChannelModel, low: int, high: int) -> None:
 
 @pytest.mark.parametrize("loss", [0.02, 0.5])
 def test_losses_have_their_rate_and_leave_the_delays_alone(loss: float) -> None:
-    delays = _delays(_sent(Delay.model_validate({"delay": ["10 ms", "30 ms"], "loss": loss}), 200, 200))
+    delays = _delays(_sent(Netem.model_validate({"delay": ["10 ms", "30 ms"], "loss": loss}), 200, 200))
     lost = delays == NEVER
     assert stats.binomtest(int(lost.sum()), len(delays), loss).pvalue > FALSE_ALARM
     assert stats.kstest(delays[~lost] / MS, "uniform", args=(10, 20)).pvalue > FALSE_ALARM
 
 
 def test_losing_everything_and_nothing() -> None:
-    assert (_delays(_sent(Delay.model_validate({"delay": 0, "loss": 1}), 20, 20)) == NEVER).all()
-    assert (_delays(_sent(Delay.model_validate({"delay": 0, "loss": 0}), 20, 20)) == 0).all()
+    assert (_delays(_sent(Netem.model_validate({"delay": 0, "loss": 1}), 20, 20)) == NEVER).all()
+    assert (_delays(_sent(Netem.model_validate({"delay": 0, "loss": 0}), 20, 20)) == 0).all()
 
 
 # --- the paper's channel ---------------------------------------------------------------------------------------------
@@ -196,7 +196,7 @@ def test_the_age_bounds_hold_for_every_window(depth: int, delays_ms: list[int], 
 @given(st.lists(st.integers(0, 400), min_size=2, max_size=2), st.integers(0, 10**6))
 def test_the_age_bound_holds_for_every_loss_free_delay(delays_ms: list[int], seed: int) -> None:
     low, high = sorted(delays_ms)
-    model = Delay.model_validate({"delay": [format_duration(low * MS), format_duration(high * MS)]})
+    model = Netem.model_validate({"delay": [format_duration(low * MS), format_duration(high * MS)]})
     span = Span(100, T)
     for log in logs_of(model, dense_links(4, 1), span.n_ticks, seed):
         assert age_of_information(log, span).tick_sup * 1e9 <= (model.age_bound_ns(T) or 0) + 0.5

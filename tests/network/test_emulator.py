@@ -11,11 +11,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from network.channel import Channel, ChannelModel, Transmission
-from network.delay import Delay, Ideal
+from network.channel import Channel, ChannelModel, Setting, Transmission
 from network.draws import Draws
 from network.emulator import Emulator, EmulatorError
 from network.messages import NEVER, Deliveries, Fate, Links
+from network.netem import Ideal, Netem
 from network.window import Window
 from tests.network.networks import LAYOUT, T, dense_links, emulator_of, links_of, play, rows
 
@@ -25,8 +25,8 @@ class Erratic(ChannelModel):
 
     model: Literal["erratic"] = "erratic"
 
-    def open(self, links: Links, period_ns: int, draws: Draws) -> Channel:
-        return _ErraticChannel(len(links), period_ns, draws)
+    def open(self, setting: Setting) -> Channel:
+        return _ErraticChannel(len(setting.links), setting.period_ns, setting.draws)
 
     def min_delay_ns(self) -> int:
         return 0
@@ -49,9 +49,9 @@ class _ErraticChannel(Channel):
 
 MODELS: dict[str, ChannelModel] = {
     "ideal": Ideal(),
-    "whole": Delay.model_validate({"delay": "200 ms"}),
-    "radio": Delay.model_validate({"delay": ["10 ms", "330 ms"], "loss": "20 %"}),
-    "slow": Delay.model_validate({"delay": ["2 s", "3 s"]}),
+    "whole": Netem.model_validate({"delay": "200 ms"}),
+    "radio": Netem.model_validate({"delay": ["10 ms", "330 ms"], "loss": "20 %"}),
+    "slow": Netem.model_validate({"delay": ["2 s", "3 s"]}),
     "paper": Window.model_validate({"depth": 10, "delay": ["150 ms", "250 ms"]}),
     "erratic": Erratic(),
 }
@@ -64,7 +64,7 @@ def _reference(links: Links, profiles: list[str], seed: int, ticks: int) -> tupl
         sender, receiver = int(links.sender[i]), int(links.receiver[i])
         alone = links_of(links.agents, [(sender, receiver)])
         draws = Draws(seed, [links.agents[sender]], [links.agents[receiver]])
-        channels.append((sender, receiver, int(links.slot[i]), MODELS[profile].open(alone, T, draws)))
+        channels.append((sender, receiver, int(links.slot[i]), MODELS[profile].open(Setting(alone, T, draws, 24))))
     queue: list[tuple[int, ...]] = []
     freshest: dict[tuple[int, int], int] = {}
     all_deliveries, all_fates = [], []
@@ -150,7 +150,7 @@ def test_every_message_has_one_fate(network: tuple[Links, list[str]], ticks: int
     for i, profile in enumerate(profiles):
         sender, receiver = links.agents[links.sender[i]], links.agents[links.receiver[i]]
         alone = links_of(links.agents, [(int(links.sender[i]), int(links.receiver[i]))])
-        channel = MODELS[profile].open(alone, T, Draws(2, [sender], [receiver]))
+        channel = MODELS[profile].open(Setting(alone, T, Draws(2, [sender], [receiver]), 24))
         sent += sum(len(channel.transmit(tick).link) for tick in range(ticks))
     assert len(fates) == sent
     flying = fates.fate == Fate.IN_FLIGHT
@@ -180,14 +180,14 @@ def test_the_order_of_the_edges_in_the_file_changes_only_the_slots() -> None:
 def test_an_arrival_at_the_next_tick_belongs_to_it() -> None:
     links = links_of("ab", [(0, 1)])
     for delay, due in (("99999999 ns", 0), ("100 ms", 1), ("0 s", 0)):
-        emulator = emulator_of(links, Delay.model_validate({"delay": delay}))
+        emulator = emulator_of(links, Netem.model_validate({"delay": delay}))
         counts = [len(emulator.emulate(tick, _sample(tick, 2)).mail[1]) for tick in range(3)]
         assert counts == [int(tick >= due) for tick in range(3)]
 
 
 def test_messages_carry_the_sample_of_their_stamp_however_long_they_fly() -> None:
     links = dense_links(3, 2)
-    emulator = emulator_of(links, Delay.model_validate({"delay": ["1 s", "30 s"]}))
+    emulator = emulator_of(links, Netem.model_validate({"delay": ["1 s", "30 s"]}))
     seen = 0
     for tick in range(700):
         values = _sample(tick, 3)

@@ -20,7 +20,7 @@ from cosim.reporting.figures import graph as drawing
 from cosim.reporting.figures.scene import MAX_POINTS, Scene, short_name
 from cosim.reporting.figures.style import legend_lines
 from cosim.results import load
-from network.delay import Delay
+from network.netem import Netem
 from tests.recording.networks import V_D, VARIABLES, make_plan, record, restrict
 
 NAMES = [entry.name for entry in FIGURES]
@@ -192,7 +192,7 @@ def test_leaderless(tmp_path: Path) -> None:
 
 
 def test_channel_that_loses_without_bound(tmp_path: Path) -> None:
-    channel = Delay(delay=["10 ms", "30 ms"], loss="40 %")
+    channel = Netem(delay=["10 ms", "30 ms"], loss="40 %")
     record(make_plan(4, 80, channel=channel), tmp_path / "run")
     assert not_drawn(tmp_path / "run") == {}
     results = load(tmp_path / "run")

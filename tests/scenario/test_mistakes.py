@@ -19,11 +19,11 @@ HOW_IT_IS_WRITTEN: dict[str, tuple[Change, str]] = {
         "channels.fast: unknown key 'dept' (did you mean 'depth'?)",
     ),
     "key of another channel": (
-        ("{model: ideal}", "{model: delay, delay: 1 s, §depth: 3}"),
+        ("{model: ideal}", "{model: netem, delay: 1 s, §depth: 3}"),
         "channels.fast: unknown key 'depth' (known: model, delay, loss)",
     ),
     "value in a channel whose model is called as its key": (
-        ("{model: ideal}", "{model: delay, delay: 1 s, loss: §150 %}"),
+        ("{model: ideal}", "{model: netem, delay: 1 s, loss: §150 %}"),
         "channels.fast.loss: ",
     ),
     "unknown channel model": (

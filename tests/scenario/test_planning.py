@@ -127,7 +127,7 @@ def test_weights_that_are_given(tmp_path: Path) -> None:
 
 def test_channels_per_edge(tmp_path: Path) -> None:
     text = changed(
-        ("- 2 -> 1", "- {from: 2, to: 1, channel: slow}"), ("  fast:", "  slow: {model: delay, delay: 1 s}\n  fast:")
+        ("- 2 -> 1", "- {from: 2, to: 1, channel: slow}"), ("  fast:", "  slow: {model: netem, delay: 1 s}\n  fast:")
     )
     plan = plan_of(tmp_path, text)
     assert plan.link_channel == ("slow", "fast", "fast", "fast")
@@ -201,7 +201,7 @@ VARIANTS = {
     "channels": (
         changed(
             ("- 2 -> 1", "- {from: 2, to: 1, channel: slow}"),
-            ("  fast:", "  slow: {model: delay, delay: [1 ms, 2 s], loss: 3 %}\n  fast:"),
+            ("  fast:", "  slow: {model: netem, delay: [1 ms, 2 s], loss: 3 %}\n  fast:"),
         ),
         (),
     ),

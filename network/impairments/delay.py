@@ -1,0 +1,167 @@
+"""Delay, jitter and order: how long messages travel, and whether they may overtake each other."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, Field, model_validator
+
+from network.channel import Setting, Transmission
+from network.impairments import distributions
+from network.impairments.impairment import PART, Impairment, Stage, Sticky, under_way, uniform
+from network.messages import Floats, Ints
+from network.units import Duration, Probability, parse_duration_range, parse_probability
+
+
+class Reorder(BaseModel):
+    """tc's `reorder PERCENT [CORRELATION] gap N`: some messages are not delayed at all, and so overtake others."""
+
+    model_config = PART
+
+    random: Probability = Field(description="a message that may go ahead does so with this probability")
+    correlation: Probability = Field(0.0, description="from one message to the next; the rate stays")
+    gap: int = Field(1, ge=1, description="after one that went ahead, the next gap - 1 messages may not")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_rate(cls, value: Any) -> Any:
+        if isinstance(value, (int, float, str)) and not isinstance(value, bool):
+            return {"random": parse_probability(value)}
+        return value
+
+
+class Delay(Impairment):
+    """tc's `delay TIME [JITTER [CORRELATION]] [distribution NAME]`; one time; or the lowest and the highest."""
+
+    time: Duration = Field(description="mean; for pareto and tables what they are relative to")
+    jitter: Duration = Field(0, description="half the range where uniform, else the standard deviation, or nearly so")
+    correlation: Probability = Field(0.0, description="of a message's delay with that of the one before")
+    distribution: distributions.Name = "uniform"
+    table: str | None = Field(None, description="a file in iproute2's format (.dist), instead of `distribution`")
+    min: Duration = Field(0, description="no delay is less")
+    max: Duration | None = Field(None, description="no delay is more")
+    fifo: bool = Field(False, description="whether messages keep their order: who would overtake arrives together")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_range(cls, value: Any) -> Any:
+        if isinstance(value, (int, float, str, list, tuple)) and not isinstance(value, bool):
+            low, high = parse_duration_range(value)
+            # Nanoseconds as text: numbers would be seconds. The middle may lie between two of them.
+            return {"time": f"{low + (high - low) // 2} ns", "jitter": f"{(high - low + 1) // 2} ns"} | (
+                {"min": f"{low} ns", "max": f"{high} ns"} if high > low else {}
+            )
+        return value
+
+    @model_validator(mode="after")
+    def _possible(self) -> Delay:
+        if self.max is not None and self.max < self.min:
+            raise ValueError("`max` is less than `min`")
+        if self.table is not None and "distribution" in self.model_fields_set:
+            raise ValueError("give `distribution` or `table`, not both")
+        if self.distribution in ("lognormal", "gamma") and self.time == 0:
+            raise ValueError(f"a {self.distribution} distribution needs a mean `time` of more than 0")
+        return self
+
+    def quantile(self) -> distributions.Quantile:
+        """The distribution before it is cut to `min` and `max`.
+
+        Raises:
+            ValueError: the table cannot be read.
+        """
+        table = None if self.table is None else distributions.read_table(Path(self.table))
+        return distributions.Quantile(self.distribution, self.time, self.jitter, table)
+
+    def open(self, setting: Setting) -> Stage:
+        return _Delay(self, setting, None)
+
+    def open_with(self, setting: Setting, reorder: Reorder | None) -> Stage:
+        """The live stage, in which some messages go ahead."""
+        return _Delay(self, setting, reorder)
+
+    def min_delay_ns(self) -> int:
+        return self._bound(0, -math.inf, self.min, max)
+
+    def max_delay_ns(self) -> int | None:
+        high = self._bound(1, math.inf, self.max if self.max is not None else -1, min)
+        return None if high < 0 else high
+
+    def _bound(self, side: int, unbounded: float, cut: int, tighter: Any) -> int:
+        """The lowest or the highest delay; `cut` where the distribution has no end there."""
+        if self.jitter == 0:
+            end = float(self.time)
+        elif self.table is not None:
+            table = distributions.read_table(Path(self.table))
+            end = self.time + self.jitter * float(table.max() if side else table.min())
+        else:
+            end = self.time + self.jitter * distributions.support(self.distribution)[side]
+        if end == unbounded:
+            return cut
+        whole = math.ceil(end) if side else math.floor(end)
+        return int(whole if cut < 0 else tighter(whole, cut))
+
+
+class _Delay(Stage):
+    def __init__(self, model: Delay, setting: Setting, reorder: Reorder | None) -> None:
+        self._fixed = min(max(model.time, model.min), model.time if model.max is None else model.max)
+        self._quantile = model.quantile() if model.jitter else None
+        self._even = model.jitter and model.distribution == "uniform" and model.table is None
+        self._low = max(model.min, model.time - model.jitter, 0)
+        self._high = model.time + model.jitter if model.max is None else min(model.max, model.time + model.jitter)
+        self._even = bool(self._even and model.correlation == 0 and self._low <= self._high)
+        self._min, self._max = model.min, np.iinfo(np.int64).max if model.max is None else model.max
+        self._correlation = model.correlation
+        self._draws = setting.draws
+        self._period_ns = setting.period_ns
+        self._normal = np.full(len(setting.links), np.nan)
+        self._reorder = _Reorder(reorder, setting) if reorder is not None else None
+        self._last = np.zeros(len(setting.links), np.int64) if model.fifo else None
+
+    def apply(self, tick: int, messages: Transmission) -> Transmission:
+        delay = messages.delay_ns.copy()
+        for copy, index in under_way(messages):
+            link = messages.link[index]
+            own = self._own(tick, copy, link)
+            if self._reorder is not None:
+                own[self._reorder.ahead(tick, copy, link)] = 0
+            delay[index] += own
+            if self._last is not None:
+                arrival = np.maximum(tick * self._period_ns + delay[index], self._last[link])
+                self._last[link] = arrival
+                delay[index] = arrival - tick * self._period_ns
+        return messages.with_delay(delay)
+
+    def _own(self, tick: int, copy: int, link: Ints) -> Ints:
+        if self._quantile is None:
+            return np.full(len(link), self._fixed, np.int64)
+        number = uniform(self._draws, "delay", tick, copy)[link]
+        if self._even:  # over the whole nanoseconds, both ends included
+            return self._low + (number * (self._high - self._low + 1)).astype(np.int64)
+        if self._correlation:
+            number = self._correlated(number, link)
+        return np.clip(np.rint(self._quantile(number)).astype(np.int64), self._min, self._max)
+
+    def _correlated(self, number: Floats, link: Ints) -> Floats:
+        """Uniform numbers whose normal scores are an autoregressive sequence: the distribution stays what it is."""
+        fresh, last = distributions.to_normal(number), self._normal[link]
+        c = self._correlation
+        score = np.where(np.isnan(last), fresh, c * last + math.sqrt(1 - c * c) * fresh)
+        self._normal[link] = score
+        return distributions.from_normal(score)
+
+
+class _Reorder:
+    def __init__(self, model: Reorder, setting: Setting) -> None:
+        self._rate, self._gap = model.random, model.gap
+        self._numbers = Sticky(setting, "reorder", model.correlation)
+        self._count = np.zeros(len(setting.links), np.int64)
+
+    def ahead(self, tick: int, copy: int, link: Ints) -> Ints:
+        """Indices into `link` of the messages that go ahead."""
+        may = self._count[link] >= self._gap - 1
+        goes = may & (self._numbers.next(tick, copy, link) < self._rate)
+        self._count[link] = np.where(goes, 0, self._count[link] + 1)
+        return np.flatnonzero(goes)

@@ -1,0 +1,45 @@
+"""Duplicates: a message arrives twice; each copy then goes its own way through rate and delay."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from network.channel import Setting, Transmission
+from network.impairments.impairment import Impairment, Stage, Sticky
+from network.messages import NEVER
+from network.units import Probability, parse_probability
+
+
+class Duplicate(Impairment):
+    """tc's `duplicate PERCENT [CORRELATION]`."""
+
+    random: Probability = Field(description="every message with this probability")
+    correlation: Probability = Field(0.0, description="from one message to the next; the rate stays")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_rate(cls, value: Any) -> Any:
+        if isinstance(value, (int, float, str)) and not isinstance(value, bool):
+            return {"random": parse_probability(value)}
+        return value
+
+    def open(self, setting: Setting) -> Stage:
+        return _Duplicate(self, setting)
+
+
+class _Duplicate(Stage):
+    def __init__(self, model: Duplicate, setting: Setting) -> None:
+        self._rate = model.random
+        self._numbers = Sticky(setting, "duplicate", model.correlation)
+
+    def apply(self, tick: int, messages: Transmission) -> Transmission:
+        alive = np.flatnonzero(messages.delay_ns != NEVER)
+        twice = alive[self._numbers.next(tick, 0, messages.link[alive]) < self._rate]
+        copy = np.concatenate((messages.copy, np.ones(len(twice), np.int64)))
+        link, stamp, delay = (
+            np.concatenate((column, column[twice])) for column in (messages.link, messages.stamp, messages.delay_ns)
+        )
+        return Transmission(link, stamp, delay, copy)

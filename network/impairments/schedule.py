@@ -1,0 +1,124 @@
+"""Losses by plan: of certain messages, and while a link is down."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field, model_validator
+
+from network.channel import Setting, Transmission
+from network.impairments.impairment import Impairment, Stage, under_way
+from network.messages import NEVER, Ints
+from network.units import Duration, PositiveDuration, parse_duration
+
+
+def _windows(value: Any) -> Any:
+    """Pairs of times, in order and apart."""
+    if not isinstance(value, (list, tuple)):
+        raise ValueError("write a list of [from, to], such as [[10 s, 12 s], [30 s, 31 s]]")  # noqa: TRY004 - pydantic's
+    if len(value) == 2 and not any(isinstance(item, (list, tuple)) for item in value):
+        value = [value]
+    windows = []
+    for item in value:
+        if not isinstance(item, (list, tuple)) or len(item) != 2:
+            raise ValueError(f"{item!r} is no [from, to], such as [10 s, 12 s]")
+        windows.append((parse_duration(item[0]), parse_duration(item[1])))
+    for begin, end in windows:
+        if not 0 <= begin < end:
+            raise ValueError(f"{item!r}: a window begins at 0 or later and ends after it begins")
+    if any(first[1] > second[0] for first, second in itertools.pairwise(windows)):
+        raise ValueError("windows follow each other in time and do not overlap")
+    return windows
+
+
+def _ordinals(value: Any) -> Any:
+    """Numbers from 1, and ranges."""
+    items = value if isinstance(value, (list, tuple)) else [value]
+    ordinals: list[int] = []
+    for item in items:
+        first, dots, last = str(item).partition("..")
+        if not first.strip().isdigit() or (dots and not last.strip().isdigit()):
+            raise ValueError(f"{item!r} is no message: they are counted from 1, such as 3 or 10..20")
+        ordinals += range(int(first), int(last or first) + 1)
+        if len(ordinals) > 1_000_000:
+            raise ValueError("more than a million messages; use `down` windows")
+    if min(ordinals, default=1) < 1:
+        raise ValueError("messages are counted from 1")
+    return sorted(set(ordinals))
+
+
+Windows = Annotated[list[tuple[Duration, Duration]], BeforeValidator(_windows)]
+
+
+class Outage(Impairment):
+    """The link is down for a while, again and again."""
+
+    every: PositiveDuration = Field(description="from the beginning of an outage to that of the next")
+    down: PositiveDuration = Field(alias="for", description="how long each lasts")
+    first: Duration = Field(0, description="when the first begins")
+
+    @model_validator(mode="after")
+    def _shorter(self) -> Outage:
+        if self.down >= self.every:
+            raise ValueError("an outage must be shorter than the time from one to the next: nothing would arrive")
+        return self
+
+    def open(self, setting: Setting) -> Stage:
+        return Schedule(outage=self).open(setting)
+
+
+class Schedule(Impairment):
+    """A message that leaves while the link is down is lost; windows include their beginning, not their end."""
+
+    drop: Annotated[list[int], BeforeValidator(_ordinals)] = Field(
+        [], description="messages of each edge that are lost, counted from 1: [3, 10..20]"
+    )
+    down: Windows = Field([], description="windows in which the link is down: [[10 s, 12 s]]")
+    up: Windows | None = Field(None, description="windows in which the link is up, and at no other time")
+    outage: Outage | None = None
+
+    def open(self, setting: Setting) -> Stage:
+        return _Schedule(self, setting)
+
+    def max_delay_ns(self) -> int | None:
+        return None if self.drop or self.down or self.up is not None or self.outage else 0
+
+
+class _Schedule(Stage):
+    def __init__(self, model: Schedule, setting: Setting) -> None:
+        self._period_ns = setting.period_ns
+        self._drop = np.array(model.drop, np.int64)
+        self._down = _edges(model.down)
+        self._up = None if model.up is None else _edges(model.up)
+        self._outage = model.outage
+        self._count = np.zeros(len(setting.links), np.int64)
+
+    def apply(self, tick: int, messages: Transmission) -> Transmission:
+        delay = messages.delay_ns.copy()
+        for _, index in under_way(messages):
+            link = messages.link[index]
+            self._count[link] += 1
+            lost = np.isin(self._count[link], self._drop) if len(self._drop) else np.zeros(len(link), np.bool_)
+            lost |= self._is_down(tick * self._period_ns + delay[index])
+            delay[index[lost]] = NEVER
+        return messages.with_delay(delay)
+
+    def _is_down(self, time: Ints) -> NDArray[np.bool_]:
+        down = _inside(self._down, time)
+        if self._up is not None:
+            down |= ~_inside(self._up, time)
+        if self._outage is not None:
+            since = time - self._outage.first
+            down |= (since >= 0) & (since % self._outage.every < self._outage.down)
+        return down
+
+
+def _edges(windows: list[tuple[int, int]]) -> Ints:
+    return np.array(windows, np.int64).reshape(-1)
+
+
+def _inside(edges: Ints, time: Ints) -> NDArray[np.bool_]:
+    return np.asarray(np.searchsorted(edges, time, side="right") % 2 == 1)
