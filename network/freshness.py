@@ -1,4 +1,4 @@
-"""How fresh the information was: age of information, losses, and the (k*, h) of the paper's Assumption 1, from a log.
+"""How fresh the information was: age of information, and the (k*, h) of the paper's Assumption 1, from a log.
 
 A log is what became of every message that was sent at ticks 0, …, N - 1, and is known up to NT (exclusive).
 
@@ -19,7 +19,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from network.messages import Fate, Fates, Ints, Links
 from network.units import to_seconds
@@ -107,60 +106,6 @@ def _freshest(log: EdgeLog, span: Span) -> tuple[Ints, Ints]:
     order = np.lexsort((stamp, arrival))
     first = np.zeros(1, np.int64)
     return np.concatenate((first, arrival[order])), np.concatenate((first, stamp[order] * span.period_ns))
-
-
-# --- losses ----------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Traffic:
-    """Counts of an edge's messages over a log.
-
-    Attributes:
-        sent: messages that left, duplicates included.
-        delivered, superseded, lost, in_flight: by fate; they add up to `sent`.
-        delivery_ratio: share of those whose fate is known that arrived; NaN if there is none.
-        losses_in_a_row: longest run of losses in the order of sending.
-        never_sent: share of the samples that never left, of those that no longer can; NaN if there is none.
-    """
-
-    sent: int
-    delivered: int
-    superseded: int
-    lost: int
-    in_flight: int
-    delivery_ratio: float
-    losses_in_a_row: int
-    never_sent: float
-
-
-def traffic(log: EdgeLog, span: Span, history: int = 0) -> Traffic:
-    """Count the messages of one edge.
-
-    Args:
-        log: of the edge.
-        span: of the log.
-        history: how many ticks back a sample that the channel sends may lie (`Channel.history`): the last `history`
-            samples of the log may still be sent after its end and so are left out of `never_sent`.
-    """
-    delivered, superseded, lost, in_flight = (int(np.count_nonzero(log.fate == fate)) for fate in Fate)
-    arrived = delivered + superseded
-    in_order = np.lexsort((log.stamp, log.sent))
-    settled = max(0, span.n_ticks - history)
-    left = len(np.unique(log.stamp[log.stamp < settled]))
-    return Traffic(
-        sent=len(log.stamp),
-        delivered=delivered,
-        superseded=superseded,
-        lost=lost,
-        in_flight=in_flight,
-        delivery_ratio=arrived / (arrived + lost) if arrived + lost else float("nan"),
-        losses_in_a_row=_longest_run(log.fate[in_order] == Fate.LOST),
-        never_sent=1 - left / settled if settled else float("nan"),
-    )
-
-
-def _longest_run(flags: NDArray[np.bool_]) -> int:
-    breaks = np.flatnonzero(~np.concatenate(([False], flags, [False])))
-    return int(np.diff(breaks).max()) - 1
 
 
 # --- Assumption 1 ----------------------------------------------------------------------------------------------------

@@ -12,13 +12,12 @@ from network.freshness import (
     EdgeLog,
     Front,
     Span,
-    Traffic,
     age_of_information,
     edge_logs,
     tolerance_front,
-    traffic,
 )
 from network.messages import Fate, Fates
+from network.traffic import Traffic, traffic
 
 MAX_FATES = 5_000_000
 """Of a longer log, the beginning is looked at."""

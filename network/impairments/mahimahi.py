@@ -134,9 +134,9 @@ class _Mahimahi(Stage):
 
     def _skip(self, link: Ints, arrives: Ints) -> None:
         """Opportunities before a message arrived are gone."""
-        cycles, since = np.divmod(arrives + self._phase[link], self._cycle)
-        first = cycles * len(self._times) + np.searchsorted(self._times, since)
-        # The last opportunity of a cycle and the first time of the next are the same instant.
+        # Cycles include their end, not their beginning: there lies the last opportunity of the cycle before.
+        cycles, since = np.divmod(arrives + self._phase[link] - 1, self._cycle)
+        first = cycles * len(self._times) + np.searchsorted(self._times, since + 1)
         behind = self._next[link] < first
         self._next[link[behind]] = first[behind]
         self._room[link[behind]] = OPPORTUNITY_BYTES

@@ -7,12 +7,12 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from network.channel import Setting, Transmission
 from network.impairments.impairment import Impairment, Stage, under_way
 from network.messages import NEVER, Ints
-from network.units import Duration, PositiveDuration, parse_duration
+from network.units import Duration, PositiveDuration, format_duration, parse_duration
 
 
 def _windows(value: Any) -> Any:
@@ -50,7 +50,16 @@ def _ordinals(value: Any) -> Any:
     return sorted(set(ordinals))
 
 
-Windows = Annotated[list[tuple[Duration, Duration]], BeforeValidator(_windows)]
+def _as_written(windows: list[tuple[int, int]]) -> list[list[str]]:
+    return [[format_duration(time) for time in window] for window in windows]
+
+
+Windows = Annotated[
+    list[tuple[int, int]],
+    BeforeValidator(_windows, json_schema_input_type=list[list[float | str]]),
+    PlainSerializer(_as_written, when_used="json"),
+]
+"""Nanoseconds."""
 
 
 class Outage(Impairment):

@@ -10,7 +10,7 @@ from pydantic import Field, field_validator, model_validator
 from network.channel import Setting, Transmission
 from network.impairments.impairment import Impairment, Stage, under_way
 from network.messages import Ints
-from network.units import DurationRange, parse_duration_range
+from network.units import DurationRange
 
 
 class Slot(Impairment):
@@ -27,7 +27,7 @@ class Slot(Impairment):
     @classmethod
     def _from_time(cls, value: Any) -> Any:
         if isinstance(value, (int, float, str, list, tuple)) and not isinstance(value, bool):
-            return {"every": parse_duration_range(value)}
+            return {"every": value}
         return value
 
     @field_validator("every")

@@ -13,9 +13,10 @@ from scipy import stats
 
 from network.channel import ChannelModel, Setting, Transmission
 from network.draws import Draws
-from network.freshness import EdgeLog, Span, age_of_information, tolerance_front, traffic
+from network.freshness import EdgeLog, Span, age_of_information, tolerance_front
 from network.messages import NEVER, Fate
 from network.netem import Ideal, Netem
+from network.traffic import traffic
 from network.units import format_duration
 from network.window import Window
 from tests.network.networks import T, dense_links, logs_of

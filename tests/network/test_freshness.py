@@ -18,9 +18,9 @@ from network.freshness import (
     common_front,
     edge_logs,
     tolerance_front,
-    traffic,
 )
 from network.messages import NEVER, Fate, Fates
+from network.traffic import traffic
 from tests.network.networks import links_of
 
 PERIOD = 4  # nanoseconds: small enough to look at every instant
