@@ -9,12 +9,13 @@ import numpy as np
 from pydantic import Field
 
 from network.channel import Channel, ChannelModel, Setting, Transmission
+from network.files import file_read_by
 from network.messages import NEVER, Ints
 
 _COLUMNS = ("sender", "receiver", "stamp", "sent", "arrival_ns", "fate")
 
 
-def _read(path: Path) -> dict[str, Any]:
+def read_deliveries(path: Path) -> dict[str, Any]:
     """The columns as arrays.
 
     Raises:
@@ -34,10 +35,12 @@ class Replay(ChannelModel):
     """Every edge sends what the edge between agents of the same names sent in an earlier run with the same period."""
 
     model: Literal["replay"] = "replay"
-    file: str = Field(description="the deliveries.parquet of a run folder")
+    file: file_read_by(read_deliveries) = Field(  # type: ignore[valid-type]
+        description="the deliveries.parquet of a run folder"
+    )
 
     def open(self, setting: Setting) -> Channel:
-        return _Replay(_read(Path(self.file)), setting)
+        return _Replay(read_deliveries(Path(self.file)), setting)
 
     def min_delay_ns(self) -> int:
         return 0

@@ -12,7 +12,7 @@ from cosim.planning.problems import Problems
 from cosim.scenario.names import agent_names
 from cosim.scenario.reading import Scenario
 from cosim.scenario.source import Node
-from cosim.scenario.spec import EdgeSpec
+from cosim.scenario.spec import ALL, EdgeSpec
 from network.messages import Links
 
 
@@ -33,16 +33,20 @@ def resolve_edges(scenario: Scenario, problems: Problems) -> tuple[Edge, ...]:
     The order of the lines in the file makes no difference to a run.
     """
     graph = scenario.spec.graph
+    rules = _Rules(scenario, problems)
     first: dict[tuple[str, str], Edge] = {}
     for index, spec in enumerate(graph.edges):
         node = scenario.root.find("graph", "edges", index) or scenario.root
-        channel = _channel(scenario, spec, node, problems)
+        own = _own_channel(scenario, spec, node, problems)
         weight = _given_weight(scenario, spec, node, problems)
         for sender, receiver in _pairs(scenario, spec, node, problems):
             if (earlier := first.get((sender, receiver))) is not None:
                 problems.error(f"duplicate edge '{sender} -> {receiver}', first {earlier.where.short}", node.where)
             else:
-                first[sender, receiver] = Edge(sender, receiver, weight, channel, node.where)
+                channel = own or rules.channel(sender, receiver)
+                if channel is None and not rules.doubtful:
+                    problems.error(f"{_NO_CHANNEL} ('{sender} -> {receiver}')", node.where)
+                first[sender, receiver] = Edge(sender, receiver, weight, channel or "", node.where)
     index_of = {name: index for index, name in enumerate(scenario.agents)}
     edges = sorted(first.values(), key=lambda edge: (index_of[edge.receiver], index_of[edge.sender]))
     return tuple(_equally_weighted(edges)) if graph.weights == "equal" else tuple(edges)
@@ -75,16 +79,55 @@ def known_agents(scenario: Scenario, text: str, where: Location, problems: Probl
     return [name for name in names if name in scenario.agents]
 
 
-def _channel(scenario: Scenario, spec: EdgeSpec, node: Node, problems: Problems) -> str:
-    name = spec.channel or scenario.spec.graph.channel
-    if name is None:
-        problems.error(
-            "this edge has no channel; give it one, or all of them with `channel:` under `graph`", node.where
+_NO_CHANNEL = (
+    "this edge has no channel; give it one, or many of them with `rules`, or all of them with `channel:`, under `graph`"
+)
+
+
+class _Rules:
+    """Which profile an edge has that names none."""
+
+    def __init__(self, scenario: Scenario, problems: Problems) -> None:
+        graph = scenario.spec.graph
+        self.doubtful = False
+        self._default = graph.channel
+        if graph.channel is not None:
+            self._check(scenario, graph.channel, scenario.root.locate("graph", "channel"), problems)
+        self._rules: list[tuple[frozenset[str], frozenset[str], str]] = []
+        for index, rule in enumerate(graph.rules):
+            node = scenario.root.find("graph", "rules", index) or scenario.root
+            senders, receivers = (
+                frozenset(scenario.agents)
+                if text.strip() == ALL
+                else frozenset(_known(scenario, text, node.locate(key), problems))
+                for text, key in ((rule.from_, "from"), (rule.to, "to"))
+            )
+            self._check(scenario, rule.channel, node.locate("channel"), problems)
+            self._rules.append((senders, receivers, rule.channel))
+
+    def channel(self, sender: str, receiver: str) -> str | None:
+        """Of the last rule that fits, else the graph's."""
+        fitting = (
+            name for senders, receivers, name in reversed(self._rules) if sender in senders and receiver in receivers
         )
-    elif name not in scenario.spec.channels:
-        where = node.locate("channel") if spec.channel else scenario.root.locate("graph", "channel")
-        problems.error(f"unknown channel {name!r}{suggest(name, scenario.spec.channels)}", where)
-    return name or ""
+        return next(fitting, self._default)
+
+    def _check(self, scenario: Scenario, name: str, where: Location, problems: Problems) -> None:
+        self.doubtful |= not _is_channel(scenario, name, where, problems)
+
+
+def _is_channel(scenario: Scenario, name: str, where: Location, problems: Problems) -> bool:
+    if name in scenario.spec.channels:
+        return True
+    problems.error(f"unknown channel {name!r}{suggest(name, scenario.spec.channels)}", where)
+    return False
+
+
+def _own_channel(scenario: Scenario, spec: EdgeSpec, node: Node, problems: Problems) -> str | None:
+    """The profile that the line names."""
+    if spec.channel is not None:
+        _is_channel(scenario, spec.channel, node.locate("channel"), problems)
+    return spec.channel
 
 
 def _given_weight(scenario: Scenario, spec: EdgeSpec, node: Node, problems: Problems) -> float:

@@ -92,7 +92,7 @@ def read_scenario(path: Path, label: str | None = None, overrides: Sequence[Over
         if override.path[0] == "agents" and len(override.path) > 1:
             late.append((override.path[1], _nested(override)))
     doubts = Doubts()
-    spec, root, found = _validate_in_part(ScenarioSpec, root, doubts)
+    spec, root, found = _validate_in_part(ScenarioSpec, root, doubts, {"folder": path.parent})
     problems += [problem for problem in found if problem.where not in refused]
     if spec is None:
         raise ConfigError(_unique(problems))
@@ -181,11 +181,13 @@ class _Mistake:
 _MOST_CUTS = 20
 
 
-def _validate_in_part(model: type[Model], node: Node, doubts: Doubts) -> tuple[Model | None, Node, list[Problem]]:
+def _validate_in_part(
+    model: type[Model], node: Node, doubts: Doubts, context: Mapping[str, Any] | None = None
+) -> tuple[Model | None, Node, list[Problem]]:
     """The model of what has the right form in a tree, that part of the tree, and everything wrong with the rest."""
     problems: list[Problem] = []
     for attempt in range(_MOST_CUTS):
-        spec, mistakes = _validate(model, node)
+        spec, mistakes = _validate(model, node, context)
         if not attempt:
             problems = _unique(mistake.problem for mistake in mistakes)
         if spec is not None:
@@ -203,10 +205,10 @@ def _last_first(path: Sequence[Step]) -> list[tuple[int, str]]:
     return [(-step, "") if isinstance(step, int) else (0, step) for step in path]
 
 
-def _validate(model: type[Model], node: Node) -> tuple[Model | None, list[_Mistake]]:
+def _validate(model: type[Model], node: Node, context: Mapping[str, Any] | None) -> tuple[Model | None, list[_Mistake]]:
     """The model of a tree, or everything that is wrong with it."""
     try:
-        return model.model_validate(node.plain()), []
+        return model.model_validate(node.plain(), context=dict(context or {})), []
     except ValidationError as error:
         details = error.errors(include_url=False)
         schema = model.model_json_schema(by_alias=True)

@@ -59,11 +59,19 @@ def _as_text(value: Any) -> Any:
     return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
+def _check_agents_or_all(text: str) -> str:
+    return text if text.strip() == ALL else _check_agents(text)
+
+
+ALL = "*"
 _NAME_SCHEMA = {"type": ["string", "integer"]}
 
 Name: TypeAlias = Annotated[str, BeforeValidator(_as_text), WithJsonSchema(_NAME_SCHEMA)]
 Agents: TypeAlias = Annotated[
     str, BeforeValidator(_as_text), AfterValidator(_check_agents), WithJsonSchema(_NAME_SCHEMA)
+]
+AgentsOrAll: TypeAlias = Annotated[
+    str, BeforeValidator(_as_text), AfterValidator(_check_agents_or_all), WithJsonSchema(_NAME_SCHEMA)
 ]
 
 
@@ -276,6 +284,14 @@ class EdgeSpec(Spec):
         return {"from": _check_agents(sender), "to": _check_agents(receiver)}
 
 
+class ChannelRule(Spec):
+    """The profile of the edges between some agents."""
+
+    from_: AgentsOrAll = Field(ALL, alias="from", description="Who sends: an agent, a range, a list, or * for all.")
+    to: AgentsOrAll = Field(ALL, description="Who hears: likewise.")
+    channel: Name = Field(description="Name of a profile in 'channels'.")
+
+
 class GraphSpec(Spec):
     """Who can hear whom."""
 
@@ -283,6 +299,9 @@ class GraphSpec(Spec):
         "equal", description="equal: a_ij = 1 / number of in-neighbours of i. given: every edge has its weight."
     )
     channel: Name | None = Field(None, description="Profile of every edge that names none.")
+    rules: list[ChannelRule] = Field(
+        [], description="Profiles of edges that name none, by who sends and hears; the last rule that fits counts."
+    )
     edges: list[Annotated[EdgeSpec, _OrText("->", "4 -> 1")]] = []
 
 

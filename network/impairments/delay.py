@@ -7,19 +7,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, Field, model_validator
+from pydantic import Field, model_validator
 
 from network.channel import Setting, Transmission
+from network.files import file_read_by
 from network.impairments import distributions
-from network.impairments.impairment import PART, Impairment, Stage, Sticky, under_way, uniform
+from network.impairments.impairment import Impairment, Part, Stage, Sticky, schema_of, under_way, uniform
 from network.messages import Floats, Ints
-from network.units import Duration, Probability, parse_duration_range, parse_probability
+from network.units import Duration, DurationRange, Probability, parse_duration_range, parse_probability
 
 
-class Reorder(BaseModel):
+class Reorder(Part):
     """tc's `reorder PERCENT [CORRELATION] gap N`: some messages are not delayed at all, and so overtake others."""
 
-    model_config = PART
+    short_form = schema_of(Probability)
 
     random: Probability = Field(description="a message that may go ahead does so with this probability")
     correlation: Probability = Field(0.0, description="from one message to the next; the rate stays")
@@ -36,11 +37,15 @@ class Reorder(BaseModel):
 class Delay(Impairment):
     """tc's `delay TIME [JITTER [CORRELATION]] [distribution NAME]`; one time; or the lowest and the highest."""
 
+    short_form = schema_of(DurationRange)
+
     time: Duration = Field(description="mean; for pareto and tables what they are relative to")
     jitter: Duration = Field(0, description="half the range where uniform, else the standard deviation, or nearly so")
     correlation: Probability = Field(0.0, description="of a message's delay with that of the one before")
     distribution: distributions.Name = "uniform"
-    table: str | None = Field(None, description="a file in iproute2's format (.dist), instead of `distribution`")
+    table: file_read_by(distributions.read_table) | None = Field(  # type: ignore[valid-type]
+        None, description="a file in iproute2's format (.dist), instead of `distribution`"
+    )
     min: Duration = Field(0, description="no delay is less")
     max: Duration | None = Field(None, description="no delay is more")
     fifo: bool = Field(False, description="whether messages keep their order: who would overtake arrives together")

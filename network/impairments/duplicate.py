@@ -8,13 +8,15 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from network.channel import Setting, Transmission
-from network.impairments.impairment import Impairment, Stage, Sticky
+from network.impairments.impairment import Impairment, Stage, Sticky, schema_of
 from network.messages import NEVER
 from network.units import Probability, parse_probability
 
 
 class Duplicate(Impairment):
     """tc's `duplicate PERCENT [CORRELATION]`."""
+
+    short_form = schema_of(Probability)
 
     random: Probability = Field(description="every message with this probability")
     correlation: Probability = Field(0.0, description="from one message to the next; the rate stays")

@@ -9,16 +9,33 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, TypeAdapter
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
 
 from network.channel import Setting, Transmission
 from network.draws import Draws
 from network.messages import NEVER, Floats, Ints
 
-PART = ConfigDict(extra="forbid", frozen=True, validate_by_name=True, validate_by_alias=True)
-"""Of every part of a profile."""
+
+def schema_of(type_: Any) -> dict[str, Any]:
+    """The JSON schema of what a type is written as, for the short form of a part."""
+    return TypeAdapter(type_).json_schema()
+
+
+class Part(BaseModel):
+    """A part of a profile, which may have a short form."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_by_name=True, validate_by_alias=True)
+    short_form: ClassVar[dict[str, Any] | None] = None
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        whole = handler(schema)
+        return whole if cls.short_form is None else {"anyOf": [cls.short_form, whole]}
 
 
 class Stage(ABC):
@@ -35,10 +52,8 @@ class Stage(ABC):
         """
 
 
-class Impairment(BaseModel, ABC):
-    """A part of a profile as the user wrote it."""
-
-    model_config = PART
+class Impairment(Part, ABC):
+    """A part of a profile that becomes a stage."""
 
     @abstractmethod
     def open(self, setting: Setting) -> Stage:

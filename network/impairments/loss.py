@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from network.channel import Setting, Transmission
-from network.impairments.impairment import Impairment, Stage, Sticky, under_way, uniform
+from network.impairments.impairment import Impairment, Stage, Sticky, schema_of, under_way, uniform
 from network.messages import NEVER, Floats, Ints
 from network.units import Probability, parse_probability
 
@@ -39,6 +39,7 @@ class FourState(Impairment):
     of going from i to j from one message to the next; state 4 always returns to 1.
     """
 
+    short_form = schema_of(Probability | list[Probability])
     p13: Probability = Field(description="a burst of losses begins")
     p31: Probability | None = Field(None, description="it ends; 1 - p13 by default")
     p32: Probability = Field(0.0, description="within a burst, messages begin to get through")
@@ -90,6 +91,7 @@ class FourState(Impairment):
 class GilbertElliott(Impairment):
     """tc's `loss gemodel p [r [1-h [1-k]]]`: a good and a bad state, with losses in each."""
 
+    short_form = schema_of(Probability | list[Probability])
     p: Probability = Field(description="from good to bad, from one message to the next")
     r: Probability | None = Field(None, description="from bad to good; 1 - p by default")
     bad: Probability = Field(1.0, alias="1-h", description="losses in the bad state")
@@ -135,6 +137,8 @@ class GilbertElliott(Impairment):
 
 class Loss(Impairment):
     """`2 %`, or one of tc's three: `random`, `state` or `gemodel`."""
+
+    short_form = schema_of(Probability)
 
     random: Probability | None = Field(None, description="every message with this probability")
     correlation: Probability = Field(0.0, description="of `random`, from one message to the next; the rate stays")

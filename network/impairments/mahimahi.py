@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from network.channel import Setting, Transmission
+from network.files import file_read_by
 from network.impairments.impairment import Impairment, Stage, under_way
 from network.messages import NEVER, Ints
 from network.units import Duration, Size
@@ -58,7 +59,11 @@ def read_trace(path: Path) -> Ints:
 class Mahimahi(Impairment):
     """A trace file, or a mapping with more."""
 
-    file: str = Field(description="milliseconds, one opportunity of 1500 bytes per line")
+    short_form: ClassVar[dict[str, Any]] = {"type": "string"}
+
+    file: file_read_by(read_trace) = Field(  # type: ignore[valid-type]
+        description="milliseconds, one opportunity of 1500 bytes per line"
+    )
     overhead: Size = Field(0, ge=0, description="bytes that the network adds to every message")
     limit: int | None = Field(None, ge=1, le=100_000, description="messages in the queue; more are lost")
     start: Duration = Field(0, description="where in the trace the run begins")

@@ -9,13 +9,15 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from network.channel import Setting, Transmission
-from network.impairments.impairment import Impairment, Stage, under_way
+from network.impairments.impairment import Impairment, Stage, schema_of, under_way
 from network.messages import NEVER
 from network.units import BitRate, Size, parse_bit_rate
 
 
 class Rate(Impairment):
     """tc's `rate RATE [PACKETOVERHEAD [CELLSIZE [CELLOVERHEAD]]]`, with a queue of finite length."""
+
+    short_form = schema_of(BitRate)
 
     rate: BitRate = Field(description='such as "1 Mbit/s"')
     overhead: Size = Field(0, description="bytes that the network adds to every message; may be negative")

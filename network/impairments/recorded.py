@@ -5,12 +5,13 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from network.channel import Setting, Transmission
+from network.files import file_read_by
 from network.impairments.impairment import Impairment, Stage, under_way, uniform
 from network.messages import NEVER, Floats, Ints
 from network.units import Duration, parse_duration, parse_probability
@@ -70,7 +71,11 @@ def read_recording(path: Path) -> Recording:
 class Recorded(Impairment):
     """A CSV file, or a mapping with more. Each line holds until the next; the last one is where it begins anew."""
 
-    file: str = Field(description="columns time, delay and loss")
+    short_form: ClassVar[dict[str, Any]] = {"type": "string"}
+
+    file: file_read_by(read_recording) = Field(  # type: ignore[valid-type]
+        description="columns time, delay and loss"
+    )
     start: Duration = Field(0, description="where in the recording the run begins")
     spread: bool = Field(False, description="whether each edge begins elsewhere in it, drawn from the seed")
     fifo: bool = Field(True, description="whether messages keep their order")

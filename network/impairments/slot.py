@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from network.channel import Setting, Transmission
-from network.impairments.impairment import Impairment, Stage, under_way
+from network.impairments.impairment import Impairment, Stage, schema_of, under_way
 from network.messages import Ints
 from network.units import DurationRange
 
@@ -19,6 +19,8 @@ class Slot(Impairment):
     Slots follow each other at times drawn evenly between the lowest and the highest; the first begins at 0. (netem's
     slots begin when there is something to send; these go on all the time, as a radio's do.)
     """
+
+    short_form = schema_of(DurationRange)
 
     every: DurationRange = Field(description="time between slots: one, or the lowest and the highest")
     packets: int | None = Field(None, ge=1, description="messages per slot; the others wait for the next one")

@@ -20,7 +20,7 @@ HOW_IT_IS_WRITTEN: dict[str, tuple[Change, str]] = {
     ),
     "key of another channel": (
         ("{model: ideal}", "{model: netem, delay: 1 s, §depth: 3}"),
-        "channels.fast: unknown key 'depth' (known: model, delay, loss)",
+        "channels.fast: unknown key 'depth' (known: schedule, loss, duplicate, slot, rate, mahimahi, ",
     ),
     "value in a channel whose model is called as its key": (
         ("{model: ideal}", "{model: netem, delay: 1 s, loss: §150 %}"),
@@ -337,7 +337,7 @@ def test_edges_without_a_channel(tmp_path: Path) -> None:
     text = changed(("  channel: fast\n", ""), ("- 2 -> 1", "- {from: 2, to: 1, channel: fast}"))
     found = errors(tmp_path, text)
     assert len(found) == 3
-    assert "this edge has no channel; give it one, or all of them with `channel:` under `graph`" in found[0].message
+    assert "this edge has no channel; give it one, or many of them with `rules`" in found[0].message
 
 
 def test_given_weights_are_given_for_every_edge(tmp_path: Path) -> None:

@@ -303,3 +303,30 @@ def test_an_agent_without_receive_is_deaf(tmp_path: Path) -> None:
     )
     (warning,) = planned(tmp_path, text).warnings
     assert warning.message == "agent '4' has no 'receive', so what it hears has no effect"
+
+
+def test_rules_choose_profiles_by_who_sends_and_hears(tmp_path: Path) -> None:
+    text = """
+period: 100 ms
+duration: 1 s
+agents:
+  1..4: {components: {node: {python: "cosim.components.library:Sine"}}, publish: {phi: node.phi}}
+channels: {slow: {model: netem, delay: 1 s}, ideal: {model: ideal}, lossy: {model: netem, loss: 1 %}}
+graph:
+  channel: ideal
+  rules:
+    - {from: 1, channel: slow}
+    - {to: 3..4, channel: lossy}
+  edges: [1 -> 2, 1 -> 3, 2 -> 3, {from: 2, to: 4, channel: slow}, 3 -> 1]
+"""
+    (tmp_path / "net.yaml").write_text(text)
+    plan = load(str(tmp_path / "net.yaml")).plan
+    names = plan.links.agents
+    ends = zip(plan.links.sender.tolist(), plan.links.receiver.tolist(), strict=True)
+    assert {f"{names[s]}{names[r]}": channel for (s, r), channel in zip(ends, plan.link_channel, strict=True)} == {
+        "12": "slow",
+        "13": "lossy",
+        "23": "lossy",
+        "24": "slow",
+        "31": "ideal",
+    }
