@@ -166,7 +166,7 @@ def _channels(plan: Plan) -> list[str]:
     used = Counter(plan.link_channel)
     lines = ["Channels"]
     for name, model in plan.channels.items():
-        parameters = model.model_dump(mode="json")
+        parameters = model.as_written()
         kind = parameters.pop("model")
         shown = ", ".join(f"{key} {_plain(value)}" for key, value in parameters.items())
         lines.append(_line(name, f"{kind}{f' ({shown})' if shown else ''}, {_count(used[name], 'edge')}"))

@@ -78,7 +78,8 @@ class ChannelModel(BaseModel, ABC):
     def as_written(self) -> dict[str, Any]:
         """What a user would write for it, without what goes without saying."""
         written = self.model_dump(mode="json", by_alias=True, exclude_defaults=True)
-        return {"model": type(self).model_fields["model"].default, **written}
+        own = {name: written.pop(name) for name in type(self).__annotations__ if name in written}
+        return {"model": type(self).model_fields["model"].default, **own, **written}
 
     @abstractmethod
     def open(self, setting: Setting) -> Channel:

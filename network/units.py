@@ -138,7 +138,9 @@ def parse_size(value: Any) -> int:
 
 
 def _format_rate(rate: float) -> str:
-    return f"{rate!r} bit/s"
+    unit = next((unit for unit in ("Gbit", "Mbit", "kbit") if rate >= _RATE_UNITS[unit]), "bit")
+    text = f"{rate / _RATE_UNITS[unit]:.12g} {unit}/s"
+    return text if parse_bit_rate(text) == rate else f"{rate!r} bit/s"
 
 
 def _format_size(size: int) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, ValidationError, model_serializer, model_validator
 
 from network.channel import Setting, Transmission
 from network.files import file_read_by
@@ -21,6 +21,7 @@ class Reorder(Part):
     """tc's `reorder PERCENT [CORRELATION] gap N`: some messages are not delayed at all, and so overtake others."""
 
     short_form = schema_of(Probability)
+    short_field = "random"
 
     random: Probability = Field(description="a message that may go ahead does so with this probability")
     correlation: Probability = Field(0.0, description="from one message to the next; the rate stays")
@@ -38,6 +39,7 @@ class Delay(Impairment):
     """tc's `delay TIME [JITTER [CORRELATION]] [distribution NAME]`; one time; or the lowest and the highest."""
 
     short_form = schema_of(DurationRange)
+    short_field = "time"
 
     time: Duration = Field(description="mean; for pareto and tables what they are relative to")
     jitter: Duration = Field(0, description="half the range where uniform, else the standard deviation, or nearly so")
@@ -60,6 +62,17 @@ class Delay(Impairment):
                 {"min": f"{low} ns", "max": f"{high} ns"} if high > low else {}
             )
         return value
+
+    @model_serializer(mode="wrap")
+    def _as_range(self, handler: SerializerFunctionWrapHandler) -> Any:
+        written = self._as_short_as_can_be(handler)
+        if isinstance(written, dict) and [*written] == ["time", "jitter", "min", "max"]:
+            try:
+                if Delay.model_validate([written["min"], written["max"]]) == self:
+                    return [written["min"], written["max"]]
+            except ValidationError:
+                pass
+        return written
 
     @model_validator(mode="after")
     def _possible(self) -> Delay:

@@ -17,6 +17,7 @@ class Duplicate(Impairment):
     """tc's `duplicate PERCENT [CORRELATION]`."""
 
     short_form = schema_of(Probability)
+    short_field = "random"
 
     random: Probability = Field(description="every message with this probability")
     correlation: Probability = Field(0.0, description="from one message to the next; the rate stays")

@@ -12,7 +12,14 @@ from collections.abc import Iterator
 from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, TypeAdapter
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    GetJsonSchemaHandler,
+    SerializerFunctionWrapHandler,
+    TypeAdapter,
+    model_serializer,
+)
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
@@ -31,6 +38,14 @@ class Part(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_by_name=True, validate_by_alias=True)
     short_form: ClassVar[dict[str, Any] | None] = None
+    """Its JSON schema."""
+    short_field: ClassVar[str | None] = None
+    """The field that it stands for, if all others have their defaults."""
+
+    @model_serializer(mode="wrap")
+    def _as_short_as_can_be(self, handler: SerializerFunctionWrapHandler) -> Any:
+        written = handler(self)
+        return written[self.short_field] if [*written] == [self.short_field] else written
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:

@@ -40,6 +40,7 @@ class FourState(Impairment):
     """
 
     short_form = schema_of(Probability | list[Probability])
+    short_field = "p13"
     p13: Probability = Field(description="a burst of losses begins")
     p31: Probability | None = Field(None, description="it ends; 1 - p13 by default")
     p32: Probability = Field(0.0, description="within a burst, messages begin to get through")
@@ -92,6 +93,7 @@ class GilbertElliott(Impairment):
     """tc's `loss gemodel p [r [1-h [1-k]]]`: a good and a bad state, with losses in each."""
 
     short_form = schema_of(Probability | list[Probability])
+    short_field = "p"
     p: Probability = Field(description="from good to bad, from one message to the next")
     r: Probability | None = Field(None, description="from bad to good; 1 - p by default")
     bad: Probability = Field(1.0, alias="1-h", description="losses in the bad state")
@@ -139,6 +141,7 @@ class Loss(Impairment):
     """`2 %`, or one of tc's three: `random`, `state` or `gemodel`."""
 
     short_form = schema_of(Probability)
+    short_field = "random"
 
     random: Probability | None = Field(None, description="every message with this probability")
     correlation: Probability = Field(0.0, description="of `random`, from one message to the next; the rate stays")

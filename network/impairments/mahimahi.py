@@ -60,6 +60,7 @@ class Mahimahi(Impairment):
     """A trace file, or a mapping with more."""
 
     short_form: ClassVar[dict[str, Any]] = {"type": "string"}
+    short_field = "file"
 
     file: file_read_by(read_trace) = Field(  # type: ignore[valid-type]
         description="milliseconds, one opportunity of 1500 bytes per line"

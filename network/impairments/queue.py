@@ -18,6 +18,7 @@ class Rate(Impairment):
     """tc's `rate RATE [PACKETOVERHEAD [CELLSIZE [CELLOVERHEAD]]]`, with a queue of finite length."""
 
     short_form = schema_of(BitRate)
+    short_field = "rate"
 
     rate: BitRate = Field(description='such as "1 Mbit/s"')
     overhead: Size = Field(0, description="bytes that the network adds to every message; may be negative")

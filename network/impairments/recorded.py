@@ -72,6 +72,7 @@ class Recorded(Impairment):
     """A CSV file, or a mapping with more. Each line holds until the next; the last one is where it begins anew."""
 
     short_form: ClassVar[dict[str, Any]] = {"type": "string"}
+    short_field = "file"
 
     file: file_read_by(read_recording) = Field(  # type: ignore[valid-type]
         description="columns time, delay and loss"

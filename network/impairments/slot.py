@@ -21,6 +21,7 @@ class Slot(Impairment):
     """
 
     short_form = schema_of(DurationRange)
+    short_field = "every"
 
     every: DurationRange = Field(description="time between slots: one, or the lowest and the highest")
     packets: int | None = Field(None, ge=1, description="messages per slot; the others wait for the next one")
