@@ -99,7 +99,7 @@ class _Rules:
             senders, receivers = (
                 frozenset(scenario.agents)
                 if text.strip() == ALL
-                else frozenset(_known(scenario, text, node.locate(key), problems))
+                else frozenset(known_agents(scenario, text, node.locate(key), problems))
                 for text, key in ((rule.from_, "from"), (rule.to, "to"))
             )
             self._check(scenario, rule.channel, node.locate("channel"), problems)
