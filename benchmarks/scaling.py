@@ -96,7 +96,7 @@ def scenario(kind: str, n_agents: int, ticks: int, fmu: Path) -> str:
             "channel": "line",
             "edges": [f"{(i - d) % n_agents + 1} -> {i + 1}" for i in range(n_agents) for d in (1, 2)],
         },
-        "channels": {"line": {"model": "delay", "delay": f"{DELAY_MS} ms"}},
+        "channels": {"line": {"model": "netem", "delay": f"{DELAY_MS} ms"}},
     }
     return json.dumps(tree).replace('"@"', json.dumps(str(fmu)))
 

@@ -32,7 +32,7 @@ graph:
   channel: slow
   edges: [1 -> 2, 2 -> 3, 3 -> 4, 4 -> 1]
 channels:
-  slow: {{model: delay, delay: [100 ms, 250 ms], loss: 10 %}}
+  slow: {{model: netem, delay: [100 ms, 250 ms], loss: 10 %}}
 bridge:
   subscribe:
     - {{key: all, agents: 1..2, variable: node.u, start: 0.5}}
