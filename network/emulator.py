@@ -50,6 +50,7 @@ class _Block:
         fate: (n,) their fates.
         ends: (stop - first + 1,) column of `table` at which each tick's messages begin, and the end.
         mail: (6, m) those that arrive, by tick and receiver, then in the total order.
+        slot, sender: (m,) of those.
         mail_ends: (stop - first, n_agents + 1) column of `mail` at which each agent's messages of a tick begin, and
             the end.
     """
@@ -60,6 +61,8 @@ class _Block:
     fate: Ints
     ends: list[int]
     mail: Ints
+    slot: Ints
+    sender: Ints
     mail_ends: Ints
 
 
@@ -83,7 +86,8 @@ class _Samples:
 
     def of(self, stamp: Ints, sender: Ints) -> Floats:
         """(n, width) what each sender published at each stamp."""
-        values: Floats = self._ring[stamp % len(self._ring), sender]
+        capacity, n_agents, width = self._ring.shape
+        values: Floats = self._ring.reshape(-1, width).take(stamp % capacity * n_agents + sender, axis=0)
         return values
 
 
@@ -204,13 +208,14 @@ class Emulator:
         self._pending = table[:, ~is_due]
         table = table[:, is_due]
         keys = (table[_COPY], table[_STAMP], table[_LINK], table[_ARRIVAL], table[_DUE])
-        table = table[:, np.lexsort([_sort_key(key) for key in keys])]
+        table = table.take(np.lexsort([_sort_key(key) for key in keys]), axis=1)
         fate = self._judge(table)
         ends = np.searchsorted(table[_DUE], np.arange(first, stop + 1))
-        mail, mail_ends = self._sort_mail(table[:, fate != Fate.LOST], first, stop)
-        for array in (table, fate, mail):
+        mail, mail_ends = self._sort_mail(table.compress(fate != Fate.LOST, axis=1), first, stop)
+        slot, sender = self._slot[mail[_LINK]], self._sender[mail[_LINK]]
+        for array in (table, fate, mail, slot):
             array.flags.writeable = False
-        return _Block(first, stop, table, fate, ends.tolist(), mail, mail_ends)
+        return _Block(first, stop, table, fate, ends.tolist(), mail, slot, sender, mail_ends)
 
     def _transmit(self, served: Ints, channel: Channel, ticks: range) -> Ints:
         """The table of what leaves through one channel."""
@@ -253,12 +258,12 @@ class Emulator:
 
     # --- answers: one tick of the block ------------------------------------------------------------------------------
     def _mail(self, row: int) -> Mail:
-        ends = self._block.mail_ends[row]
-        mail = self._block.mail[:, ends[0] : ends[-1]]
-        arrival, link, stamp = mail[_ARRIVAL], mail[_LINK], mail[_STAMP]
-        slot, values = self._slot[link], self._samples.of(stamp, self._sender[link])
-        slot.flags.writeable = values.flags.writeable = False
-        return Mail(ends - ends[0], arrival, slot, stamp, values)
+        block, ends = self._block, self._block.mail_ends[row]
+        due = slice(ends[0], ends[-1])
+        stamp = block.mail[_STAMP, due]
+        values = self._samples.of(stamp, block.sender[due])
+        values.flags.writeable = False
+        return Mail(ends - ends[0], block.mail[_ARRIVAL, due], block.slot[due], stamp, values)
 
     def _fates(self, begin: int, end: int) -> Fates:
         return self._as_fates(self._block.table[:, begin:end], self._block.fate[begin:end])
