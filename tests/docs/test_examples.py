@@ -4,7 +4,7 @@ On a page, blocks run in their order in one empty folder:
 
 - `yaml` and `python` blocks whose first line is `# file: NAME` are saved under that name; other `python` blocks run.
 - `console` blocks: lines that begin with `$ ` run, the lines that follow must be printed, in that order; `...` stands
-  for anything. A command may end in `# exit N`.
+  for anything. A command may end in `# exit N`. One that ends in `&` runs beside those that follow in its block.
 """
 
 import os
@@ -13,6 +13,7 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -67,7 +68,14 @@ def test_page(page: Path, tmp_path: Path) -> None:
             done = run([sys.executable, "-c", text])
             assert done.returncode == 0, f"{text}\n{done.stderr}"
         elif kind == "console":
-            for command, code, expected in commands(text):
-                done = run(shlex.split(command))
+            with ThreadPoolExecutor(max_workers=8) as beside:
+                runs = []
+                for command, code, expected in commands(text):
+                    running = beside.submit(run, shlex.split(command.removesuffix(" &")))
+                    runs.append((command, code, expected, running))
+                    if not command.endswith(" &"):
+                        running.result()
+            for command, code, expected, running in runs:
+                done = running.result()
                 assert done.returncode == code, f"$ {command}\n{done.stdout}{done.stderr}"
                 assert_prints(done.stdout + done.stderr, expected)
