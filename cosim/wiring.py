@@ -72,9 +72,9 @@ class MailboxLayout:
     weight: Positions
 
     @cached_property
-    def rows(self) -> tuple[Positions, ...]:
+    def rows(self) -> tuple[NDArray[np.intp], ...]:
         """Of each in-neighbour, the positions of its values, its stamp and its time (`Updates.content`)."""
-        return tuple(np.column_stack((self.values, self.stamp, self.time)))
+        return tuple(np.column_stack((self.values, self.stamp, self.time)).astype(np.intp))
 
 
 @dataclass(frozen=True)
