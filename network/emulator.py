@@ -87,7 +87,9 @@ class _Samples:
     def of(self, stamp: Ints, sender: Ints) -> Floats:
         """(n, width) what each sender published at each stamp."""
         capacity, n_agents, width = self._ring.shape
-        values: Floats = self._ring.reshape(-1, width).take(stamp % capacity * n_agents + sender, axis=0)
+        values: Floats = self._ring.reshape(capacity * n_agents, width).take(
+            stamp % capacity * n_agents + sender, axis=0
+        )
         return values
 
 

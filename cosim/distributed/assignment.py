@@ -92,7 +92,7 @@ def blocks(plan: Plan, workers: Mapping[str, Share]) -> dict[str, Block]:
 def window_ticks(plan: Plan) -> int:
     """How many ticks the emulator may be ahead of what is recorded: bounds the memory of the rows under way.
 
-    None where values come from outside: those of tick k are taken when tick k is recorded.
+    It is not where values come from outside: those of tick k are taken when tick k is recorded.
     """
     if plan.bridge.subscribe:
         return 0
