@@ -356,7 +356,9 @@ def _add_hosts(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="AGENTS",
         help="that this worker carries, such as 1..5 or 1,4..6; with --name alone, those that the scenario gives it",
     )
-    worker.add_argument("--name", metavar="NAME", help="of this worker (default: made from the host's)")
+    worker.add_argument(
+        "--name", metavar="NAME", help="of this worker (default: as its keys say, else made from the host's)"
+    )
 
 
 def _seconds(text: str) -> float:

@@ -268,6 +268,14 @@ class Endpoint:
             return None
 
 
+def name_in(keys: Path) -> str | None:
+    """The name of the process that a folder of key files is for; None if it cannot be told."""
+    try:
+        return Certificate.of(read_certificates(keys / CERTIFICATE)[0]).name
+    except KeysError:
+        return None
+
+
 def check_listen(endpoints: Sequence[str], keys: Path | None, insecure: bool, name: str = HUB) -> list[KeysError]:
     """Everything that speaks against listening there.
 

@@ -260,6 +260,9 @@ def _instructions(place: Place, plan: Plan, workers: Mapping[str, Share], *, nam
         words = ["cosim", "emulator" if name == EMULATOR else "worker", "--connect", endpoint, *place.options(name)]
         if name in workers:
             agents = in_short(plan.agents[index].name for index in workers[name]).replace(", ", ",")
-            words += ["--name", name] if named else ["--agents", agents]
+            if not named:
+                words += ["--agents", agents]
+            elif place.keys is None:  # which say the name
+                words += ["--name", name]
         lines.append(f"  {shlex.join(words)}")
     return "\n".join(lines)

@@ -18,9 +18,10 @@ from cosim.distributed.failure import OPENING, Failure
 from cosim.distributed.files import Offer, Procurement
 from cosim.distributed.lobby import Claim
 from cosim.distributed.serving import send, serve
-from cosim.errors import ClusterError, CosimError
+from cosim.errors import ClusterError, ConfigError, CosimError
 from cosim.plan import Plan
 from cosim.scratch import Scratch
+from network import access
 from network.codec import decode_object
 from network.transport import HUB, Endpoint, Envelope, Kind, Part, PeerLost, TransportTimeout, WireError
 
@@ -54,6 +55,8 @@ def main(args: argparse.Namespace) -> int:
 
 def _worker(args: argparse.Namespace) -> tuple[str, str | None]:
     """The worker's name and the agents that it asks for."""
+    if args.name is None and args.keys is not None:
+        args.name = access.name_in(args.keys)
     if args.agents is None and args.name is None:
         raise CosimError(
             "say which agents this worker carries, such as --agents 1..5, or which worker it is with --name"
@@ -108,7 +111,7 @@ def prepare(
             send(endpoint, procurement.take(_next(endpoint)))
         plan = offer.job.plan(procurement.located)
     except (CosimError, WireError) as error:
-        fault = error if isinstance(error, CosimError) else CosimError(str(error))
+        fault = error if isinstance(error, ConfigError) else CosimError(str(error))
         endpoint.send(HUB, Kind.FAILURE, 0, *Failure(OPENING, 0, fault).encode())
         raise fault from error
     endpoint.send(HUB, Kind.PREPARED, 0)
