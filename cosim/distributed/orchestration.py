@@ -385,7 +385,8 @@ class Orchestration:
 
     def lost_message(self) -> Lost | None:
         """A message that was sent and did not arrive, as the last answers show."""
-        return self._survey.lost(tuple(self._carriers))
+        at_work = [name for name, carrier in self._carriers.items() if carrier.failure is None]
+        return self._survey.lost(at_work)
 
     def standing(self) -> Standing:
         """How far everybody is."""

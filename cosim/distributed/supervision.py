@@ -14,7 +14,6 @@ from cosim.distributed.processes import Processes
 from cosim.distributed.replacement import Moment, when
 from cosim.distributed.serving import send
 from cosim.distributed.standing import carried, waits
-from cosim.distributed.survey import Lost
 from cosim.errors import ClusterError, CosimError
 from cosim.inline import Interrupted
 from cosim.pacing import Pacer
@@ -119,9 +118,9 @@ class Supervisor:
             elif now - since > self._deadline:
                 self._hang()
                 since = time.monotonic()
-            elif now - max(since, asked) > _ASK_SECONDS:
-                self._find_lost_message()
-                send(self._hub, orchestration.ask())
+            elif now - max(since, asked) > _ASK_SECONDS or (asked > since and orchestration.all_answered(())):
+                if not self._find_lost_message():
+                    send(self._hub, orchestration.ask())
                 asked = now
 
     def _receive(self, timeout: float) -> None:
@@ -192,22 +191,22 @@ class Supervisor:
         """Nobody gets further: replace whoever holds the others up, or end the run."""
         deadline = self._deadline
         self._settle()
+        if self._find_lost_message():
+            return
         culprits = self._orchestration.unready or self._orchestration.standing().culprits()
         stopped = [text for name in culprits if (text := self._processes.condition(name))]
         self._resolve(culprits, stopped[0] if stopped else f"did not get further for {deadline:g} s", settled=True)
 
-    def _find_lost_message(self) -> None:
-        """Replace a worker whose stream has a hole, or end the run."""
+    def _find_lost_message(self) -> bool:
+        """Replace a worker whose stream has a hole, or end the run; whether there is one."""
         lost = self._orchestration.lost_message()
         if lost is None:
-            return
+            return False
         worker = lost.receiver if lost.sender == EMULATOR else lost.sender
-        self._resolve([worker], f"is cut off: {self._hole(lost)}")
-
-    def _hole(self, lost: Lost) -> str:
-        workers = self._orchestration.workers
-        who = [carried(self._plan, name, workers) for name in (lost.sender, lost.receiver)]
-        return f"the {lost.kind.name.lower()} of tick {lost.tick} from {who[0]} did not reach {who[1]}"
+        way = "from" if lost.sender == EMULATOR else "to"
+        hole = f"is cut off (the {lost.kind.name.lower()} of tick {lost.tick} got lost on the way {way} the emulator)"
+        self._resolve([worker], hole)
+        return True
 
     def _resolve(self, names: Sequence[str], condition: str, *, settled: bool = False) -> None:
         """Replace processes, or end the run by an account of who is to blame.

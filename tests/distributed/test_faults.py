@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,7 @@ from hypothesis import strategies as st
 from cosim.distributed import cluster
 from cosim.distributed.standing import waits
 from cosim.distributed.survey import Lost
-from cosim.errors import ClusterError
+from cosim.errors import ClusterError, RunError
 from network.transport import Kind
 from tests.components.probe import FAILS
 from tests.distributed.loopback import Loopback
@@ -73,6 +74,17 @@ def test_nobody_is_suspected_while_all_goes_well() -> None:
         loop.ask()
         assert loop.orchestration.lost_message() is None
     assert loop.orchestration.settled(())
+
+
+def test_worker_that_failed_has_lost_no_message() -> None:
+    """It takes its mail, and does nothing with it."""
+    loop = Loopback(planned(scenario(4, ring(4), faults={3: ("Failing", 0.35)})), 2, [Record()], random.Random(1))
+    with pytest.raises(RunError):
+        loop.run()
+    for _ in range(3):
+        with suppress(RunError):  # again with every message
+            loop.ask()
+        assert loop.orchestration.lost_message() is None
 
 
 def test_many_that_wait_for_the_same_are_told_together() -> None:
