@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -96,6 +97,21 @@ def test_the_loops_mix(averagers: dict[int, Path], probes: dict[int, Path]) -> N
         messages.add(f"{error} {record.ticks}")
     assert len(messages) == 1
     assert messages.pop().startswith("agent 2, component probe, ")
+
+
+def test_libraries_of_their_own(averagers: dict[int, Path], probes: dict[int, Path], tmp_path: Path) -> None:
+    """FMUs that can be instantiated only once per process are loaded once per agent: agents alike call other code."""
+    copy = tmp_path / "once.fmu"
+    with zipfile.ZipFile(averagers[3]) as source, zipfile.ZipFile(copy, "w") as target:
+        for name in source.namelist():
+            content = source.read(name)
+            if name == "modelDescription.xml":
+                once = b'canBeInstantiatedOnlyOncePerProcess="%s"'
+                assert once % b"false" in content
+                content = content.replace(once % b"false", once % b"true")
+            target.writestr(name, content)
+    network = averager_network({2: averagers[2], 3: copy}, probes, {})
+    assert not require_same(network)
 
 
 def test_memory_in_any_order(averagers: dict[int, Path], probes: dict[int, Path]) -> None:
