@@ -332,6 +332,7 @@ def _add_hosts(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     serve = _command(
         commands, "serve", cli_hosts.serve, "run a scenario with an emulator and workers that are started by hand"
     )
+    serve.epilog = cli_hosts.SERVE_EXIT_CODES
     _add_scenario(serve)
     where = serve.add_mutually_exclusive_group(required=True)
     where.add_argument(

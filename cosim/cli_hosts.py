@@ -6,6 +6,13 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
+SERVE_EXIT_CODES = """\
+exit codes:
+  0    the run is complete
+  2    a mistake in the scenario or on the command line
+  3    somebody did not come, was lost or left the run, or a component failed
+  130  stopped with Ctrl-C (143: by SIGTERM, 129: by SIGHUP); all others are sent home
+"""
 EXIT_CODES = """\
 exit codes:
   0    the run is complete
