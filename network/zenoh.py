@@ -6,6 +6,7 @@ message is numbered and checked by `network.envelope`, and every wait ends.
 
 from __future__ import annotations
 
+import atexit
 import json
 import math
 import os
@@ -31,7 +32,7 @@ os.environ.setdefault(  # read when the first session opens
 import zenoh
 
 from network.codec import decode_object, encode_object
-from network.envelope import Envelope, Kind, Part, Streams, Tamper, WireError, check_name
+from network.envelope import Envelope, Kind, Part, Streams, Tamper, WireError, check_name, pack, unpack
 from network.transport import (
     HUB,
     PeerLost,
@@ -55,6 +56,7 @@ STALL: Final = 60.0
 _WAIT: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"  # µs
 _ASK_AGAIN: Final = 0.05  # s
 _TRY: Final = 1.0  # s in one attempt to reach somebody: a request to stop is heard in between
+_TOGETHER: Final = 2**16  # bytes posted beyond which nothing waits for more
 _INBOX: Final = 2**20  # messages; if it were full, Zenoh's receiving thread would wait, and with it every other link
 _SETTINGS: Final[Mapping[str, object]] = {
     "scouting/multicast/enabled": False,
@@ -173,7 +175,10 @@ class ZenohEndpoint:
         self._streams = Streams(run, name)
         self._tamper = tamper
         self._publishers: dict[str, zenoh.Publisher] = {}
+        self._posted: dict[str, list[bytes]] = {}
+        self._posted_bytes = 0
         self._senders: dict[str, str] = {}
+        self._frames: deque[tuple[str, Part]] = deque()  # sender and message, that came together with another
         self._losses: deque[PeerLost] = deque()
         self._departed: set[str] = set()
         self._closed = False
@@ -184,24 +189,50 @@ class ZenohEndpoint:
         self._subscriber = session.declare_subscriber(keys.inbox(name), zenoh.handlers.FifoChannel(_INBOX))
         self._inbox: _Samples = self._subscriber.handler
         self._alarm = _Alarm(self._wake)
+        atexit.register(self.leave)  # threads that wait in Zenoh while the interpreter ends would abort the process
 
     def send(self, receiver: str, kind: Kind, tick: int, *parts: Part) -> None:
+        self.post(receiver, kind, tick, *parts)
+        self.push()
+
+    def post(self, receiver: str, kind: Kind, tick: int, *parts: Part) -> None:
         self._check_open()
         frame = self._streams.encode(receiver, kind, tick, parts)
-        publisher = self._publishers.get(receiver)
-        if publisher is None:
-            publisher = self._session.declare_publisher(self._keys.message(receiver, self.name), **_QOS)
-            self._publishers[receiver] = publisher
-        for out in [frame] if self._tamper is None else self._tamper(self.name, receiver, frame):
-            publisher.put(out)
+        posted = self._posted.setdefault(receiver, [])
+        if self._tamper is None:
+            posted.append(frame)
+        else:
+            posted.extend(self._tamper(self.name, receiver, frame))
+        self._posted_bytes += len(frame)
+        if self._posted_bytes > _TOGETHER:
+            self.push()
+
+    @property
+    def posted(self) -> bool:
+        return bool(self._posted)
+
+    def push(self) -> None:
+        if not self._posted:
+            return
+        posted, self._posted, self._posted_bytes = self._posted, {}, 0
+        for receiver, frames in posted.items():
+            publisher = self._publishers.get(receiver)
+            if publisher is None:
+                publisher = self._session.declare_publisher(self._keys.message(receiver, self.name), **_QOS)
+                self._publishers[receiver] = publisher
+            if frames:
+                publisher.put(pack(frames))
 
     def receive(self, timeout: float) -> Envelope:
         self._check_open()
+        if self._frames:
+            return self._decode(*self._frames.popleft())
         deadline: float | None = None
         while True:
             some_lost = bool(self._losses)  # looked at first: what arrived before a loss comes out before it
             sample = self._inbox.try_recv()
             if sample is None:
+                self.push()
                 if some_lost:
                     self._report_loss()
                     continue
@@ -215,12 +246,14 @@ class ZenohEndpoint:
                 self._alarm.set(math.inf)
             key = str(sample.key_expr)
             if key != self._own_key:
-                return self._decode(key, sample.payload.to_bytes())
+                sender = self._senders.get(key)
+                if sender is None:
+                    sender = self._senders[key] = key.rpartition("/")[2]
+                frame, *others = unpack(sample.payload.to_bytes())
+                self._frames.extend((sender, other) for other in others)
+                return self._decode(sender, frame)
 
-    def _decode(self, key: str, frame: bytes) -> Envelope:
-        sender = self._senders.get(key)
-        if sender is None:
-            sender = self._senders[key] = key.rpartition("/")[2]
+    def _decode(self, sender: str, frame: Part) -> Envelope:
         envelope = self._streams.decode(sender, frame)
         if envelope.kind is Kind.BYE:
             self._departed.add(sender)
@@ -290,6 +323,7 @@ class ZenohEndpoint:
         if self._closed:
             return
         self._closed = True
+        atexit.unregister(self.leave)
         self._alarm.close()
         with suppress(zenoh.ZError):  # it could not tell the others in time; it is closed all the same
             self._session.close()  # type: ignore[no-untyped-call]
@@ -471,10 +505,10 @@ class ZenohClient(ZenohEndpoint):
             self._hub_is_there = alive
             self._changed.notify_all()
 
-    def send(self, receiver: str, kind: Kind, tick: int, *parts: Part) -> None:
+    def post(self, receiver: str, kind: Kind, tick: int, *parts: Part) -> None:
         if self._losses:
             raise self._losses[0]
-        super().send(receiver, kind, tick, *parts)
+        super().post(receiver, kind, tick, *parts)
 
     def close(self) -> None:
         if not self._closed and not self._losses:

@@ -34,6 +34,9 @@ from network.transport import Endpoint, Envelope, Kind, PeerLost, Refused, Trans
 FLUSH_SECONDS = 0.05
 """How long rows and fates may be held back."""
 
+TOGETHER_SECONDS = 0.0005
+"""How long messages may be held back so that others travel with them: some times what it costs to send one."""
+
 _IDLE_SECONDS = 1.0
 _JOIN_SECONDS = 30.0
 _GRACE_SECONDS = 0.5
@@ -81,6 +84,16 @@ def send(endpoint: Endpoint, messages: Sequence[Message]) -> None:
         endpoint.send(message.receiver, message.kind, message.tick, *message.parts)
 
 
+def post(endpoint: Endpoint, messages: Sequence[Message]) -> None:
+    """Send messages in their order, as soon as nothing waits to be handled; those to the orchestrator at once.
+
+    So nothing that it is told of, as by a PONG, is still to leave.
+    """
+    for message in messages:
+        to = endpoint.send if message.receiver == ORCHESTRATOR else endpoint.post
+        to(message.receiver, message.kind, message.tick, *message.parts)
+
+
 def serve(endpoint: Endpoint, whereabouts: Ints | None = None, planned: Callable[[Job], Plan] = Job.plan) -> None:
     """Take a job from the orchestrator and carry it out until its BYE.
 
@@ -119,16 +132,24 @@ def serve(endpoint: Endpoint, whereabouts: Ints | None = None, planned: Callable
 
 
 def _carry_out(endpoint: Endpoint, served: Machine, hold_back: float) -> None:
-    """Handle messages until the end; rows and fates go out after at most `hold_back` seconds."""
-    flushed = time.monotonic()
+    """Handle messages until the end; rows and fates go out after at most `hold_back` seconds.
+
+    What is to be sent while messages wait to be handled travels together, for a while.
+    """
+    flushed = since = time.monotonic()
     while not served.finished:
         envelope = _next(endpoint, hold_back if served.holds_back else _IDLE_SECONDS)
+        if not endpoint.posted:
+            since = time.monotonic()
         if envelope is not None:
-            send(endpoint, served.handle(envelope))
+            post(endpoint, served.handle(envelope))
         now = time.monotonic()
         if envelope is None or now - flushed >= hold_back:
-            send(endpoint, served.flush())
+            post(endpoint, served.flush())
             flushed = now
+        if now - since > TOGETHER_SECONDS:
+            endpoint.push()
+    endpoint.push()
 
 
 def _next(endpoint: Endpoint, timeout: float) -> Envelope | None:

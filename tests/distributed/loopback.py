@@ -7,17 +7,17 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from itertools import count
 
-from cosim.distributed.assignment import EMULATOR, Job, Share, divide, renamed
+from cosim.distributed.assignment import EMULATOR, Job, Message, Share, divide, renamed
 from cosim.distributed.orchestration import Orchestration
 from cosim.distributed.replacement import Moment
-from cosim.distributed.serving import Machine, machine, send
+from cosim.distributed.serving import Machine, machine, post, send
 from cosim.inline import Observer, Take
 from cosim.plan import Plan
 from network.transport import InMemoryEndpoint, InMemoryNetwork, Kind, PeerLost, Tamper, TransportTimeout
 
 
 class Loopback:
-    """Every process takes a step when its turn comes; an idle one flushes.
+    """Every process takes a step when its turn comes; an idle one flushes. Some messages wait for others.
 
     Args:
         plan: what to run.
@@ -116,11 +116,14 @@ class Loopback:
             envelope = endpoint.receive(0)
         except TransportTimeout:
             messages = self._machines[name].flush() if name in self._machines else []
-            send(endpoint, messages)
+            self._say(endpoint, messages)
             return bool(messages)
         if envelope.kind is Kind.SCENARIO:
             self._machines[name] = machine(name, Job.decode(envelope))
-            send(endpoint, self._machines[name].prepare())
+            self._say(endpoint, self._machines[name].prepare())
         else:
-            send(endpoint, self._machines[name].handle(envelope))
+            self._say(endpoint, self._machines[name].handle(envelope))
         return True
+
+    def _say(self, endpoint: InMemoryEndpoint, messages: Sequence[Message]) -> None:
+        (post if self._order.random() < 0.5 else send)(endpoint, messages)
