@@ -34,7 +34,7 @@ from cosim.recording.manifest import (
     write_atomically,
 )
 from cosim.recording.recovery import occupied
-from cosim.recording.spool import Spool, stacked, table
+from cosim.recording.spool import Spool, stacked
 from cosim.recording.table import FULL, allocate
 from cosim.recording.tables import Layout, RunTables
 from network.messages import Fates, Floats, Ints
@@ -86,6 +86,7 @@ class Recorder:
         self._block = np.empty((min(ticks_at_once, plan.ticks + 2), self._layout.width))
         self._kept = 0  # rows of the block in use
         self._fates: list[Ints] = []
+        self._waiting: list[Ints] = []  # those since the last tick, which go to the spool with the next
         self._n_fates = 0
         self._external: ExternalLog | None = None
         self._failure: RecordingError | None = None
@@ -134,9 +135,10 @@ class Recorder:
         kept[:] = row
         self._kept += 1
         try:
-            self._spool.record(self._spool.framed_row(kept))
+            self._spool.record(kept, self._waiting)
         except OSError as error:
             self._after(error)
+        self._waiting.clear()
         if self._kept == len(self._block):
             self._flush()
 
@@ -150,13 +152,11 @@ class Recorder:
             raise self._failure
         if not len(fates):
             return
-        record = self._spool.framed(fates)
-        self._fates.append(table(record))
+        columns = (fates.sender, fates.receiver, fates.stamp, fates.sent, fates.arrival_ns, fates.fate)
+        table = np.concatenate(columns).reshape(6, -1)
+        self._fates.append(table)
+        self._waiting.append(table)
         self._n_fates += len(fates)
-        try:
-            self._spool.record(record)
-        except OSError as error:
-            self._after(error)
         if self._n_fates >= FATES_AT_ONCE:
             self._flush()
 
@@ -241,6 +241,7 @@ class Recorder:
         """
         values, fates = self._block[: self._kept], stacked(self._fates)
         self._kept, self._fates, self._n_fates = 0, [], 0
+        self._waiting.clear()
         if not len(values) and not fates.size:
             return
         values, fates = self._tables.append(values, fates, self._make_room)

@@ -2,7 +2,8 @@
 
 Two hidden files lie beside the tables of a run that goes on:
 
-- `.spool` has the rows and fates since the last row group, each handed to the kernel as soon as it is known;
+- `.spool` has a record for every tick since the last row group, handed to the kernel as soon as the tick is known: its
+  row, and the fates that came before it. Those that come after it belong to a period that is not complete;
 - `.groups` has the layout, the metadata of every row group, and where each table stood after it.
 
 A row group counts once `.groups` says so; `.spool` then begins anew, with another seed for its records (see `frames`),
@@ -12,7 +13,6 @@ its records, as much as their row group will need: when the disk is full, droppi
 
 from __future__ import annotations
 
-import errno
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,17 +20,17 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.recording.frames import HEAD, OVERHEAD, frame, frames, write
+from cosim.recording.frames import OVERHEAD, frame, frames, write
 from cosim.recording.manifest import GROUPS, SPOOL
 from cosim.recording.table import FULL, Finished, allocate
 from cosim.recording.tables import FATE_BYTES, Layout, RunTables
-from network.messages import Fates, Floats, Ints
+from network.messages import Floats, Ints
 
 _FORMAT = 1
 _SLACK_BYTES = 1 << 16
 
 
-_LAYOUT, _ROW, _FATES, _GROUP, _STAND = range(1, 6)
+_LAYOUT, _TICK, _GROUP, _STAND = range(1, 5)
 
 
 class Spool:
@@ -70,26 +70,24 @@ class Spool:
             self.close()
             raise
 
-    def framed(self, fates: Fates) -> bytes:
-        """Fates as they will be recorded; `table` gives them as numbers."""
-        columns = (fates.sender, fates.receiver, fates.stamp, fates.sent, fates.arrival_ns, fates.fate)
-        return frame(_FATES, self._seed, FATE_BYTES * len(fates), np.concatenate(columns))
+    def record(self, values: Floats, fates: Sequence[Ints]) -> None:
+        """Hand a tick to the kernel.
 
-    def framed_row(self, values: Floats) -> bytes:
-        """A tick as it will be recorded: (width,) as it arrived."""
-        return frame(_ROW, self._seed, self._row_bytes, values)
-
-    def record(self, framed: bytes) -> None:
-        """Hand a record to the kernel.
+        Args:
+            values: (width,) as they arrived.
+            fates: (6, n) each; since the tick before.
 
         Raises:
             OSError: the disk is full.
         """
-        end = self._end + len(framed)
+        if len(fates) > 1:
+            fates = (stacked(fates),)
+        size = self._row_bytes + sum(table.nbytes for table in fates)
+        record = frame(_TICK, self._seed, size, *fates, values)
+        end = self._end + len(record)
         if end > self._limit:
             self._grow(end)
-        if os.write(self._descriptor, framed) != len(framed):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        write(self._descriptor, record)
         self._end = end
 
     def finish(self, tables: RunTables) -> None:
@@ -192,26 +190,16 @@ def read(folder: Path) -> Left:
             ends = np.frombuffer(content, dtype="<i8").tolist()
             finished = (Finished(tuple(groups[0]), ends[0]), Finished(tuple(groups[1]), ends[1]))
             seed += 1
+    row_bytes = 8 * layout.width
     rows: list[memoryview] = []
     fates: list[Ints] = []
-    for kind, content in frames(memoryview((folder / SPOOL).read_bytes()), seed):
-        if kind == _ROW:
-            rows.append(content)
-        else:
-            fates.append(_table(content, 0, len(content)))
+    for _, content in frames(memoryview((folder / SPOOL).read_bytes()), seed):
+        fates.append(np.frombuffer(content[: len(content) - row_bytes], dtype="<i8").reshape(6, -1))
+        rows.append(content[len(content) - row_bytes :])
     values = np.frombuffer(b"".join(rows), dtype="<f8").reshape(len(rows), layout.width)
     return Left(layout, finished, values, stacked(fates))
-
-
-def table(framed: bytes) -> Ints:
-    """(6, n) the numbers in a record of fates."""
-    return _table(framed, HEAD, len(framed) - OVERHEAD)
 
 
 def stacked(tables: Sequence[Ints]) -> Ints:
     """(6, n) one after another."""
     return np.concatenate([np.empty((6, 0), dtype=np.int64), *tables], axis=1)
-
-
-def _table(record: bytes | memoryview, at: int, size: int) -> Ints:
-    return np.frombuffer(record, dtype="<i8", offset=at, count=size // 8).reshape(6, -1)

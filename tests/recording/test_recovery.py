@@ -89,10 +89,16 @@ def test_killed_after_any_record(record: Any, block_bytes: int, seed: int, n_cal
         folder = Path(name)
         stopped = Recorder(plan, folder / "stopped", block_bytes=block_bytes)
         stopped.open()
-        for call in itertools.islice(calls(plan, seed), n_calls):
+        interrupted = Recorder(plan, folder / "interrupted")  # at the last tick that was told of
+        interrupted.open()
+        last = n_calls - (n_calls % 2 == 0)
+        for i, call in enumerate(itertools.islice(calls(plan, seed), n_calls)):
             tell(stopped, call)
+            if i < last:
+                tell(interrupted, call)
         killed(folder / "stopped", folder / "killed")
-        assert_same(folder / "killed", folder / "stopped", stopped.close("aborted: by the test"))
+        stopped.close("aborted: by the test")
+        assert_same(folder / "killed", folder / "interrupted", interrupted.close("aborted: by the test"))
 
 
 @settings(max_examples=25, deadline=None)
@@ -105,16 +111,16 @@ def test_spool_that_ends_at_any_byte(data: st.DataObject) -> None:
         folder = Path(name)
         recorder = Recorder(plan, folder / "run", block_bytes=block_bytes)
         recorder.open()
-        states = [0]  # length of the spool after each record since the last row group
+        states: list[tuple[int, int]] = []  # length of the spool, and calls, after each tick since the last row group
         begun = 0
         for told, call in enumerate(itertools.islice(calls(plan, 1), n_calls), start=1):
             before = recorder._spool._seed
             tell(recorder, call)
             if recorder._spool._seed != before:
-                states, begun = [0], told
-            else:
-                states.append(recorder._spool._end)
-        cut = data.draw(st.integers(0, states[-1]))
+                states, begun = [], told
+            elif not isinstance(call, Fates):
+                states.append((recorder._spool._end, told))
+        cut = data.draw(st.integers(0, recorder._spool._end))
         killed(folder / "run", folder / "killed")
         recorder.close("aborted: by the test")
         path = folder / "killed" / ".spool"
@@ -127,7 +133,7 @@ def test_spool_that_ends_at_any_byte(data: st.DataObject) -> None:
             case "noise":
                 content[cut:] = np.random.default_rng(cut).bytes(len(content) - cut)
         path.write_bytes(content)
-        whole = begun + sum(length <= cut for length in states[1:])
+        whole = max([begun, *(told for length, told in states if length <= cut)])
         stopped = Recorder(plan, folder / "stopped")
         stopped.open()
         for call in itertools.islice(calls(plan, 1), whole):
@@ -210,7 +216,7 @@ def test_read_by_several_at_once(folders: Folders) -> None:
     plan, folder, left = make_plan(3, 40), folders(), folders()
     recorder = Recorder(plan, folder)
     recorder.open()
-    for call in calls(plan, 1):
+    for call in list(calls(plan, 1))[:-1]:
         tell(recorder, call)
     killed(folder, left)
     digest = recorder.close("aborted: by the test")
