@@ -29,7 +29,8 @@ def _known_model(value: Any) -> Any:
     known = ", ".join(CHANNEL_MODELS)
     if not isinstance(value, dict) or "model" not in value:
         raise ValueError(
-            f"a channel is a mapping with its kind under `model`, one of {known}; such as {{model: ideal}}"
+            f"a channel is a mapping with its kind under `model`, one of {known}; such as {{model: ideal}}, "
+            "or the name of a profile"
         )
     model = value["model"]
     if not isinstance(model, str) or model not in CHANNEL_MODELS:

@@ -7,14 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from cosim.errors import ConfigError, Location, Problem, suggest
+from cosim.scenario import profiles
 from cosim.scenario.mending import Doubts, Step, cut
 from cosim.scenario.merging import Override, merge
 from cosim.scenario.names import agent_names
 from cosim.scenario.source import Node, read
 from cosim.scenario.spec import AgentSpec, ScenarioSpec
+from network.channel import ChannelModel
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -82,7 +84,7 @@ def read_scenario(path: Path, label: str | None = None, overrides: Sequence[Over
     label = label or str(path)
     problems: list[Problem] = []
     root = read(path, label, problems)
-    refused = {problem.where for problem in problems}
+    root = profiles.resolve(root, path.parent, label)  # so that an override can change a value of a profile
     late: list[tuple[str, Node]] = []
     for override in overrides:
         try:
@@ -91,6 +93,8 @@ def read_scenario(path: Path, label: str | None = None, overrides: Sequence[Over
             problems += error.problems
         if override.path[0] == "agents" and len(override.path) > 1:
             late.append((override.path[1], _nested(override)))
+    root = profiles.resolve(root, path.parent, label, problems)
+    refused = {problem.where for problem in problems}
     doubts = Doubts()
     spec, root, found = _validate_in_part(ScenarioSpec, root, doubts, {"folder": path.parent})
     problems += [problem for problem in found if problem.where not in refused]
@@ -198,6 +202,18 @@ def _validate_in_part(
             node, path = smaller
             doubts.add(path, mistake.known)
     return None, node, problems
+
+
+def problems_of(
+    form: TypeAdapter[ChannelModel], node: Node, context: Mapping[str, Any]
+) -> tuple[ChannelModel | None, list[Problem]]:
+    """The channel that stands alone in a tree, or everything that is wrong with it."""
+    try:
+        return form.validate_python(node.plain(), context=dict(context)), []
+    except ValidationError as error:
+        schema = form.json_schema(by_alias=True)
+        details = error.errors(include_url=False)
+        return None, _unique(_mistake(detail, node, schema).problem for detail in details)
 
 
 def _last_first(path: Sequence[Step]) -> list[tuple[int, str]]:

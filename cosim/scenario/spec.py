@@ -454,7 +454,9 @@ class ScenarioSpec(Spec):
     )
     coupling: CouplingSpec = Field(CouplingSpec(), description="For every agent that does not say otherwise.")
     graph: GraphSpec = GraphSpec()
-    channels: dict[str, AnyChannelModel] = Field({}, description="Profiles: what the network does to a message.")
+    channels: dict[str, AnyChannelModel] = Field(
+        {}, description="What the network does to a message: by kind, or the name of a profile."
+    )
     analysis: AnalysisSpec = AnalysisSpec()
     workers: WorkersSpec | None = Field(
         None,
@@ -472,4 +474,7 @@ class ScenarioSpec(Spec):
 def json_schema() -> dict[str, Any]:
     """The JSON schema (draft 2020-12) of a scenario, for editors."""
     schema = ScenarioSpec.model_json_schema(by_alias=True)
+    channels = schema["properties"]["channels"]  # a profile may stand there by its name: cosim.scenario.profiles
+    named = {"type": "object", "properties": {"profile": {"type": "string"}}, "required": ["profile"]}
+    channels["additionalProperties"] = {"anyOf": [channels["additionalProperties"], {"type": "string"}, named]}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "netcosim scenario"}
