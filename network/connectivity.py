@@ -8,7 +8,7 @@ nobody, but all of each other; every agent hears itself (the graphs G_s of the p
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,30 +74,20 @@ def connectivity(
     """
     grew = updates(logs, span)
     n = len(links.agents)
-    base = np.eye(n, dtype=np.bool_)
-    held = np.zeros(n, np.bool_)
-    held[list(leaders)] = True
-    base |= np.outer(held, held)
-    into_follower = ~held[links.receiver]
-
-    def graph(tick: int) -> Graphs:
-        heard = base.copy()
-        fresh = grew[tick] & into_follower
-        heard[links.sender[fresh], links.receiver[fresh]] = True
-        return heard
-
+    held = _mask(n, leaders)
+    graphs = _graphs(grew, links, held)
     rooted = np.zeros(max(0, span.n_ticks - window + 1), np.bool_)
     older: list[Graphs] = []  # compositions of a tick with all that follow it in this stack; the oldest tick last
     newer: list[Graphs] = []
     together: Graphs | None = None  # of `newer`
-    for tick in range(span.n_ticks):
-        newer.append(graph(tick))
+    for tick, heard in enumerate(graphs):
+        newer.append(heard)
         together = newer[-1] if together is None else _then(together, newer[-1])
         if tick < window - 1:
             continue
         if not older:
-            for heard in reversed(newer):
-                older.append(heard if not older else _then(heard, older[-1]))
+            for graph in reversed(newer):
+                older.append(graph if not older else _then(graph, older[-1]))
             newer, together = [], None
         oldest = older.pop()
         whole = oldest if together is None else _then(oldest, together)
@@ -107,6 +97,42 @@ def connectivity(
     return Connectivity(window, rooted, heard_per_agent)
 
 
+def unreached(
+    logs: Sequence[EdgeLog], links: Links, span: Span, ticks: range, leaders: Collection[int] = ()
+) -> list[int]:
+    """Indices of the agents that news did not reach over some ticks; of the best root (a leader if there are any).
+
+    Args:
+        logs: of every edge, in the order of `links`.
+        links: the edges.
+        span: of the logs.
+        ticks: of the window.
+        leaders: as for `connectivity`.
+    """
+    held = _mask(len(links.agents), leaders)
+    whole: Graphs | None = None
+    for heard in _graphs(updates(logs, span)[ticks.start : ticks.stop], links, held):
+        whole = heard if whole is None else _then(whole, heard)
+    return [] if whole is None else np.flatnonzero(_missed(whole, held)).tolist()
+
+
+def _mask(n: int, indices: Collection[int]) -> NDArray[np.bool_]:
+    mask = np.zeros(n, np.bool_)
+    mask[list(indices)] = True
+    return mask
+
+
+def _graphs(grew: NDArray[np.bool_], links: Links, leaders: NDArray[np.bool_]) -> Iterator[Graphs]:
+    """Who heard whom at each tick of (n_ticks, n_links)."""
+    base = np.eye(len(leaders), dtype=np.bool_) | np.outer(leaders, leaders)
+    into_follower = ~leaders[links.receiver]
+    for row in grew:
+        heard = base.copy()
+        fresh = row & into_follower
+        heard[links.sender[fresh], links.receiver[fresh]] = True
+        yield heard
+
+
 def _then(first: Graphs, second: Graphs) -> Graphs:
     """Who heard of whom over two graphs, one after the other."""
     return np.asarray(first.astype(np.float32) @ second.astype(np.float32) > 0)
@@ -114,15 +140,23 @@ def _then(first: Graphs, second: Graphs) -> Graphs:
 
 def _has_root(heard: Graphs, leaders: NDArray[np.bool_]) -> bool:
     """Whether somebody, a leader if there are any, reaches all: over any number of steps of this graph."""
+    return not _missed(heard, leaders).any()
+
+
+def _missed(heard: Graphs, leaders: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(n,) whom nobody's news reaches who reaches most (a leader if there are any); over any number of steps."""
     n = len(heard)
+    candidates = np.flatnonzero(leaders) if leaders.any() else np.arange(n)
+    if heard[candidates].all(axis=1).any():
+        return np.zeros(n, np.bool_)
     reach, steps = heard, 1
     while steps < n:
         further = _then(reach, reach)
         if np.array_equal(further, reach):
             break
         reach, steps = further, 2 * steps
-    all_reached = reach.all(axis=1)
-    return bool((all_reached & leaders).any() if leaders.any() else all_reached.any())
+    best = candidates[np.argmax(reach[candidates].sum(axis=1))]
+    return np.asarray(~reach[best])
 
 
 def window_of(h_star_ns: int, period_ns: int) -> int:

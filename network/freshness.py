@@ -88,8 +88,7 @@ def age_of_information(log: EdgeLog, span: Span) -> Age:
     begin, end, taken = begin[lasts], end[lasts], taken[lasts]
     peaks = (end - taken).astype(np.float64)
     middle = peaks - (end - begin) / 2
-    ticks = np.arange(span.n_ticks) * span.period_ns
-    at_ticks = ticks - taken[np.searchsorted(begin, ticks, side="right") - 1]
+    at_ticks = _at_ticks(begin, taken, span)
     return Age(
         mean=float(np.average(middle, weights=end - begin)) / 1e9,
         peak_mean=float(np.mean(peaks[:-1])) / 1e9 if len(peaks) > 1 else float("nan"),
@@ -97,6 +96,27 @@ def age_of_information(log: EdgeLog, span: Span) -> Age:
         tick_mean=float(np.mean(at_ticks)) / 1e9,
         tick_sup=to_seconds(int(at_ticks.max())),
     )
+
+
+def ages_at_ticks(log: EdgeLog, span: Span) -> Ints:
+    """(n_ticks,) nanoseconds: the age read at each tick, after what arrives at the tick itself."""
+    return _at_ticks(*_freshest(log, span), span)
+
+
+def _at_ticks(begin: Ints, taken: Ints, span: Span) -> Ints:
+    ticks = np.arange(span.n_ticks) * span.period_ns
+    return np.asarray(ticks - taken[np.searchsorted(begin, ticks, side="right") - 1], np.int64)
+
+
+def intervals_above(ages: Ints, limit_ns: int) -> Ints:
+    """(n, 2) where the age at ticks exceeds a limit: the first tick, and the first one after it that does not.
+
+    Args:
+        ages: (n_ticks,) nanoseconds, as from `ages_at_ticks`.
+        limit_ns: the largest age that was assumed.
+    """
+    above = np.concatenate(([False], ages > limit_ns, [False]))
+    return np.flatnonzero(above[1:] != above[:-1]).reshape(-1, 2)
 
 
 def _freshest(log: EdgeLog, span: Span) -> tuple[Ints, Ints]:
@@ -134,8 +154,7 @@ def tolerance_front(log: EdgeLog, span: Span) -> Front:
     was not lost, may yet arrive: its delay is at least its age at the end, and is taken to be that. All samples after
     the log may be in time: the gap at its end reaches to the first of them.
 
-    The exact front in O(N log N): samples are struck from a linked list in the order of falling delay, where the
-    largest gap can only grow.
+    The exact front in O(N log N): samples are struck in the order of falling delay, where the largest gap only grows.
     """
     delays, observed = _delays(log, span)
     order = np.argsort(delays, kind="stable")
@@ -174,25 +193,47 @@ def _delays(log: EdgeLog, span: Span) -> tuple[Ints, Ints]:
 def _largest_gaps(order: Ints) -> Ints:
     """(n,) largest gap, those at both ends included, that the first 1, 2, …, n of `order` leave.
 
-    `order` is a permutation of 0, …, n - 1. The gap at the beginning is counted from 0, that at the end up to n.
+    `order` is a permutation of 0, …, n - 1. The gap at the beginning is counted from 0, that at the end up to n. Struck
+    in reverse, an element leaves the gap between its nearest neighbours that come earlier in `order`.
     """
     n = len(order)
-    before = list(range(-1, n - 1))
-    after = list(range(1, n + 1))
-    gaps = [1] * n
-    largest = 1
-    ranked: list[int] = order.tolist()
-    for i in range(n - 1, 0, -1):
-        gaps[i] = largest
-        struck = ranked[i]
-        left, right = before[struck], after[struck]
-        if left >= 0:
-            after[left] = right
-        if right < n:
-            before[right] = left
-        largest = max(largest, right - max(left, 0))
-    gaps[:1] = [largest][:n]
-    return np.array(gaps, dtype=np.int64)
+    rank = np.empty(n, np.int64)
+    rank[order] = np.arange(n)
+    right = _nearest_smaller(rank)
+    left = n - 1 - _nearest_smaller(rank[::-1])[::-1]
+    left_by = (right - np.maximum(left, 0))[order]  # by striking each of `order`
+    # With the first i + 1 of them left, all later ones have been struck.
+    return np.maximum.accumulate(np.append(left_by[1:], 1)[::-1])[::-1]
+
+
+def _nearest_smaller(values: Ints) -> Ints:
+    """(n,) index of the next smaller value to the right of each; n where there is none. All differ, none is negative.
+
+    In a tree of minima: up and to the right past blocks in which all is larger, then down to the first that is not.
+    """
+    n = len(values)
+    rows = [np.full(1 << n.bit_length(), -1, np.int64)]
+    rows[0][:n] = values
+    while len(rows[-1]) > 1:
+        rows.append(np.minimum(rows[-1][0::2], rows[-1][1::2]))
+    block = np.arange(1, n + 1)
+    climbing = np.arange(n)
+    stopped = []
+    for row in rows:
+        here, wanted = block[climbing], values[climbing]
+        onward = row[here] > wanted
+        again = onward & (here % 2 == 0)  # the right half of the same pair
+        here = here + again
+        onward &= ~again | (row[here] > wanted)
+        block[climbing] = np.where(onward, (here + 1) // 2, here)
+        stopped.append(climbing[~onward])
+        climbing = climbing[onward]
+    falling = stopped.pop()
+    for row, joining in zip(rows[-2::-1], stopped[::-1], strict=True):
+        left = 2 * block[falling]
+        block[falling] = left + (row[left] > values[falling])
+        falling = np.concatenate((falling, joining))
+    return block
 
 
 def _pareto(k_star: Ints, h_ns: Ints) -> Front:

@@ -2,25 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from cosim.results import Results
+from cosim.theory import mu, published_bound
+from network.connectivity import Connectivity, connectivity, window_of
 from network.freshness import (
     Age,
     EdgeLog,
     Front,
     Span,
     age_of_information,
+    ages_at_ticks,
+    common_front,
     edge_logs,
+    intervals_above,
     tolerance_front,
 )
-from network.messages import Fate, Fates
+from network.messages import Fate, Fates, Ints
 from network.traffic import Traffic, traffic
 
 MAX_FATES = 5_000_000
 """Of a longer log, the beginning is looked at."""
+
+FRONT_LIMIT = 5_000_000
+"""Edges times ticks up to which Assumption 1 is evaluated: about half a second's work per million."""
+
+CONNECTIVITY_LIMIT = 10_000_000_000
+"""Agents³ times ticks up to which joint rootedness is evaluated: a few seconds' work."""
+
+
+@dataclass(frozen=True)
+class Assumed:
+    """The h* that the design of a controller assumed of an edge.
+
+    Attributes:
+        h_star_ns: None where nothing can be said.
+        origin: where the number is from.
+    """
+
+    h_star_ns: int | None
+    origin: str
 
 
 class Edges:
@@ -40,6 +66,12 @@ class Edges:
         """`4 → 1`."""
         links = self.results.links
         return f"{links.agents[links.sender[link]]} → {links.agents[links.receiver[link]]}"
+
+    def names(self, chosen: Iterable[int], limit: int = 6) -> str:
+        """Some edges by name, the first few if there are many."""
+        chosen = list(chosen)
+        more = f" and {len(chosen) - limit} more" if len(chosen) > limit else ""
+        return ", ".join(self.name(link) for link in chosen[:limit]) + more
 
     @cached_property
     def span(self) -> Span:
@@ -73,7 +105,74 @@ class Edges:
         """Counts of messages."""
         return [traffic(log, self.span) for log in self.logs]
 
+    # --- Assumption 1 -------------------------------------------------------------------------------------------------
+    @property
+    def fronts_are_known(self) -> bool:
+        """Whether the log is short enough for `fronts`."""
+        return len(self) * self.span.n_ticks <= FRONT_LIMIT
+
     @cached_property
     def fronts(self) -> list[Front]:
         """The pairs (k*, h) of Assumption 1 that the log does not refute."""
         return [tolerance_front(log, self.span) for log in self.logs]
+
+    @cached_property
+    def common_front(self) -> Front:
+        """Those that serve every edge."""
+        return common_front(self.fronts)
+
+    @cached_property
+    def assumed(self) -> list[Assumed]:
+        """Per edge: its channel's bound; without one, the largest h* that the published condition admits."""
+        results = self.results
+        admitted = []
+        for agent in results.agents:
+            k_eta, lambda_ = ((results.analysis[key] or {}).get(agent) for key in ("k_eta", "lambda"))
+            bound = -1.0 if k_eta is None or lambda_ is None else published_bound(mu(k_eta, lambda_))
+            admitted.append(bound)
+        found = []
+        for link, receiver in enumerate(results.links.receiver.tolist()):
+            channel = results.age_bound(link)
+            if channel is not None:
+                found.append(Assumed(round(channel * 1e9), "bound of the channel"))
+            elif admitted[receiver] >= 0:
+                found.append(Assumed(int(admitted[receiver] * 1e9), "published condition"))
+            else:
+                found.append(Assumed(None, "nothing"))
+        return found
+
+    @cached_property
+    def breaks(self) -> list[Ints]:
+        """Per edge, (n, 2): the ticks from and up to which (exclusive) it was older than assumed."""
+        none = np.zeros((0, 2), np.int64)
+        found = []
+        for log, age, assumed in zip(self.logs, self.ages, self.assumed, strict=True):
+            limit = assumed.h_star_ns
+            broken = limit is not None and round(age.tick_sup * 1e9) > limit
+            found.append(intervals_above(ages_at_ticks(log, self.span), limit or 0) if broken else none)
+        return found
+
+    @cached_property
+    def worst_first(self) -> list[int]:
+        """The edges: those that were too old for longest, then by their largest age at ticks."""
+        too_old = [int((spans[:, 1] - spans[:, 0]).sum()) for spans in self.breaks]
+        return sorted(range(len(self)), key=lambda link: (-too_old[link], -self.ages[link].tick_sup, link))
+
+    @cached_property
+    def assumed_h_star_ns(self) -> int | None:
+        """The largest over the edges; None if nothing was assumed of one of them."""
+        known = [one.h_star_ns for one in self.assumed]
+        return None if None in known else max((one for one in known if one is not None), default=None)
+
+    @cached_property
+    def leaders(self) -> list[int]:
+        """Indices of the agents that hold their estimate."""
+        return [self.results.agents.index(name) for name in self.results.analysis["leaders"] or ()]
+
+    @cached_property
+    def connectivity(self) -> Connectivity | None:
+        """Joint rootedness over windows of the assumed h*; None where that is not known, or too much work."""
+        if self.assumed_h_star_ns is None or len(self.results.agents) ** 3 * self.span.n_ticks > CONNECTIVITY_LIMIT:
+            return None
+        window = window_of(self.assumed_h_star_ns, self.span.period_ns)
+        return connectivity(self.logs, self.results.links, self.span, window, self.leaders)

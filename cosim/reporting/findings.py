@@ -1,4 +1,4 @@
-"""What a report says in numbers: how it went, whether the agents agree, what the network did, the paper's condition."""
+"""What a report says in numbers: how it went, whether the agents agree, the paper's condition."""
 
 from __future__ import annotations
 
@@ -9,27 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from cosim.reporting.edges import Edges
+from cosim.reporting.words import NOTHING, Rows, number
 from cosim.results import Results
 from cosim.scenario.names import in_short
 from cosim.theory import mu, published_bound
 from cosim.topology import kappa, reached_by, roots
-from network.freshness import common_front
 from network.units import to_seconds
-
-NOTHING = "–"
-
-FRONT_LIMIT = 2_000_000
-"""Edges times ticks up to which Assumption 1 is evaluated: about a second's work per million."""
-
-Rows = list[tuple[str, str]]
-
-
-def number(value: float | None, unit: str = "", digits: int = 4) -> str:
-    """A number as people read it, or a dash where there is none."""
-    if value is None or not math.isfinite(value):
-        return NOTHING
-    return f"{value:.{digits}g}{f' {unit}' if unit else ''}"
 
 
 def outcome(results: Results) -> Rows:
@@ -110,52 +95,6 @@ def _percentiles(durations: Mapping[str, float | None]) -> str:
 
 def _milliseconds(seconds: float | None) -> str:
     return number(None if seconds is None else 1e3 * seconds, "ms", 3)
-
-
-# --- the network ------------------------------------------------------------------------------------------------------
-def network(edges: Edges) -> Rows:
-    """Counts, ages, and the tolerance pairs of Assumption 1, over all edges."""
-    if not len(edges) or edges.results.n_ticks < 2:
-        return []
-    traffic, ages = edges.traffic, edges.ages
-    sent = sum(one.sent for one in traffic)
-    counts = {
-        "delivered": sum(one.delivered for one in traffic),
-        "superseded": sum(one.superseded for one in traffic),
-        "lost": sum(one.lost for one in traffic),
-        "in flight at the end": sum(one.in_flight for one in traffic),
-    }
-    seconds = to_seconds(edges.span.end_ns)
-    rows = [] if edges.span.n_ticks == edges.results.n_ticks - 1 else [("Evaluated over", f"the first {seconds:g} s")]
-    rows += [
-        ("Messages sent", f"{sent}, per edge and tick {number(sent / (len(edges) * edges.span.n_ticks), digits=3)}"),
-        ("Of these", ", ".join(f"{count} {name}" for name, count in counts.items())),
-        ("Most losses in a row on an edge", str(max(one.losses_in_a_row for one in traffic))),
-        ("Age of information, mean over edges and time", number(float(np.mean([one.mean for one in ages])), "s")),
-        ("Age of information, largest read at a tick", number(max(one.tick_sup for one in ages), "s")),
-        ("Age of information, least upper bound over time", number(max(one.sup for one in ages), "s")),
-        ("Age at ticks, largest that the channels allow (h*)", _bound(edges.results)),
-    ]
-    return rows + _assumption(edges)
-
-
-def _bound(results: Results) -> str:
-    bounds = {results.age_bound(link) for link in range(len(results.links))}
-    return "no bound" if None in bounds else number(max(bound for bound in bounds if bound is not None), "s")
-
-
-def _assumption(edges: Edges) -> Rows:
-    """The literal minimum of k*T + h: the other number that the paper calls h*."""
-    label = "Assumption 1: least k*·T + h"
-    if len(edges) * edges.span.n_ticks > FRONT_LIMIT:
-        return [(label, "not evaluated: the log is too long")]
-    sums = [front.smallest_sum_ns(edges.span.period_ns) for front in edges.fronts]
-    common = common_front(edges.fronts).smallest_sum_ns(edges.span.period_ns)
-    known = [to_seconds(one) for one in sums if one is not None]
-    if not known or common is None:
-        return [(label, "none: an edge delivered nothing")]
-    median = number(float(np.median(known)), "s")
-    return [(label, f"{median} for the median edge, {number(to_seconds(common), 's')} common to all edges")]
 
 
 # --- the paper's condition --------------------------------------------------------------------------------------------

@@ -11,12 +11,16 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cosim.recording.manifest import folder_problem, write_atomically
-from cosim.reporting import findings
-from cosim.reporting.edges import Edges
-from cosim.results import Results, load
+from cosim.reporting import findings, network
+from cosim.reporting.words import NOTHING
+from cosim.results import load
 from cosim.stopping import StopRequest
+
+if TYPE_CHECKING:
+    from cosim.reporting.figures import Scene
 
 PAGE = "report.html"
 FIGURES = "figures"
@@ -57,28 +61,30 @@ def draw(folder: Path, stop_requested: Callable[[], bool] = lambda: False) -> Pa
     Raises:
         ConfigError: the folder is no run folder, or cannot be written.
     """
+    from cosim.reporting.figures import Scene
+
     results = load(folder)
     page = folder / PAGE
     try:
-        shown = _draw_figures(results, folder / FIGURES, stop_requested)
+        scene = Scene(results)
+        shown = _draw_figures(scene, folder / FIGURES, stop_requested)
         if shown is None:
             return None
-        write_atomically(page, _render(results, shown))
+        write_atomically(page, _render(scene, shown))
     except OSError as error:
         where = Path(error.filename or folder)
         raise folder_problem(where, f"cannot write the report: {error.strerror or error}") from None
     return page
 
 
-def _draw_figures(results: Results, folder: Path, stop_requested: Callable[[], bool]) -> list[Shown] | None:
-    from cosim.reporting.figures import NotDrawn, Scene, figures_of
+def _draw_figures(scene: Scene, folder: Path, stop_requested: Callable[[], bool]) -> list[Shown] | None:
+    from cosim.reporting.figures import NotDrawn, figures_of
     from cosim.reporting.figures.style import save, styled
 
     folder.mkdir(exist_ok=True)
-    scene = Scene(results)
     shown = []
     with styled():
-        for entry in figures_of(results):
+        for entry in figures_of(scene.results):
             if stop_requested():
                 return None
             try:
@@ -107,25 +113,32 @@ def inline(svg: str, name: str) -> str:
     return re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", element)
 
 
-def _render(results: Results, shown: list[Shown]) -> str:
+def _render(scene: Scene, shown: list[Shown]) -> str:
     import jinja2
 
+    results = scene.results
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
     manifest, conditions = results.manifest, findings.conditions(results)
+    edges = scene.edges
+    told = network.is_told(edges)
     return template.render(
         name=manifest["name"],
         title=manifest["title"] or manifest["name"],
         complete=results.complete,
-        digest=manifest["digest"] or findings.NOTHING,
+        digest=manifest["digest"] or NOTHING,
         outcome=findings.outcome(results),
         agreement=findings.agreement(results),
         graph=findings.graph(results),
         conditions=conditions,
-        published=any(line.mu != findings.NOTHING for line in conditions),
-        network=findings.network(Edges(results)),
+        published=any(line.mu != NOTHING for line in conditions),
+        network=network.totals(edges),
+        freshness=network.freshness_table(edges) if told else None,
+        traffic=network.traffic_table(edges) if told else None,
+        breaks=network.breaks_table(edges) if told else None,
+        readings=network.readings(edges),
         realtime=findings.realtime(results),
         provenance=findings.provenance(results),
         figures=[figure for figure in shown if figure.svg],

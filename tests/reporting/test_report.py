@@ -13,7 +13,7 @@ import pytest
 
 from cosim.errors import ConfigError
 from cosim.plan import AnalysisPlan
-from cosim.reporting import findings, report
+from cosim.reporting import findings, network, report
 from cosim.reporting.edges import Edges
 from cosim.reporting.figures import FIGURES, age, disagreement
 from cosim.reporting.figures import graph as drawing
@@ -196,7 +196,7 @@ def test_channel_that_loses_without_bound(tmp_path: Path) -> None:
     record(make_plan(4, 80, channel=channel), tmp_path / "run")
     assert not_drawn(tmp_path / "run") == {}
     results = load(tmp_path / "run")
-    rows = dict(findings.network(Edges(results)))
+    rows = dict(network.totals(Edges(results)))
     lost = np.count_nonzero(results.deliveries["fate"] == "lost")
     assert f"{lost} lost" in rows["Of these"]
     assert rows["Age at ticks, largest that the channels allow (h*)"] == "no bound"
@@ -272,7 +272,7 @@ def test_beginning_of_a_long_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     edges = Edges(load(tmp_path / "run"))
     assert 20 < edges.span.n_ticks < 300
     assert max(one.tick_sup for one in edges.ages) <= 1.3
-    assert findings.network(edges)[0] == ("Evaluated over", f"the first {edges.span.n_ticks / 10:g} s")
+    assert network.totals(edges)[0] == ("Evaluated over", f"the first {edges.span.n_ticks / 10:g} s")
     report.draw(tmp_path / "run")
 
 

@@ -1,0 +1,94 @@
+"""What the report says of the network, on runs whose network did what was planned."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.plan import AnalysisPlan
+from cosim.reporting import network, report
+from cosim.reporting.edges import Edges
+from cosim.results import load
+from network.channel import ChannelModel
+from network.netem import Ideal, Netem
+from tests.recording.networks import make_plan, record
+
+
+def edges_of(folder: Path, n: int = 4, ticks: int = 120, channel: ChannelModel | None = None) -> Edges:
+    record(make_plan(n, ticks, channel=channel), folder)
+    return Edges(load(folder))
+
+
+def test_a_blackout_is_a_break_with_its_times(tmp_path: Path) -> None:
+    # Admitted without a bound of the channel: (sqrt(13) - 1)/2 = 1.303 s. Down from 3 s to 6 s: last sample of 2.9 s.
+    edges = edges_of(tmp_path / "run", channel=Netem(delay="20 ms", schedule={"down": [["3 s", "6 s"]]}))
+    assert all(spans.tolist() == [[43, 61]] for spans in edges.breaks)
+    table = network.breaks_table(edges)
+    assert table is not None
+    assert len(table.rows) == len(edges)
+    assert table.rows[0][2:] == ("1.303 s, published condition", "3.1 s", "15 %", "4.3–6 s")
+    totals = dict(network.totals(edges))
+    assert totals["Most losses in a row on an edge"] == "30"
+    assert totals["Most losses in any 10 in a row"] == "10"
+    assert totals["One-way delay"] == "median 0.02 s, 95% 0.02 s, 99% 0.02 s, largest 0.02 s"
+    report.draw(tmp_path / "run")
+    assert "4.3–6 s" in (tmp_path / "run" / "report.html").read_text()
+
+
+def test_a_window_that_is_not_jointly_rooted_is_named(tmp_path: Path) -> None:
+    edges = edges_of(tmp_path / "run", channel=Netem(delay="20 ms", schedule={"down": [["3 s", "6 s"]]}))
+    (said,) = (value for label, value in network.totals(edges) if label == "Jointly rooted, in windows of 15 ticks")
+    followers = sorted(set(range(1, 5)) - {1, 4})
+    assert f"did not reach agents {', '.join(map(str, followers))}" in said
+    assert edges.connectivity is not None
+    gap = edges.connectivity.first_gap
+    assert gap is not None
+    assert f"from {gap / 10:g} to {(gap + 14) / 10:g} s" in said
+
+
+def test_nothing_breaks_where_the_channel_keeps_its_bound(tmp_path: Path) -> None:
+    edges = edges_of(tmp_path / "run")
+    assert {one.origin for one in edges.assumed} == {"bound of the channel"}
+    table = network.breaks_table(edges)
+    assert table is not None
+    assert not table.rows
+    report.draw(tmp_path / "run")
+    assert "No edge was older at a tick" in (tmp_path / "run" / "report.html").read_text()
+
+
+def test_the_condition_has_three_readings(tmp_path: Path) -> None:
+    edges = edges_of(tmp_path / "run")
+    allowed, observed, literal = network.readings(edges)
+    hearing = len(set(edges.results.links.receiver.tolist()))
+    assert (allowed.h_star, allowed.verdict) == ("1.3 s", f"holds for {hearing} of {hearing} agents")
+    assert float(observed.h_star.split()[0]) == max(age.tick_sup for age in edges.ages)
+    least = edges.common_front.smallest_sum_ns(edges.span.period_ns)
+    assert least is not None
+    assert float(literal.h_star.split()[0]) == pytest.approx(least / 1e9, rel=1e-3)
+
+
+def test_an_ideal_network(tmp_path: Path) -> None:
+    edges = edges_of(tmp_path / "run", channel=Ideal())
+    rows = dict(network.totals(edges))
+    assert rows["Assumption 1: least k*·T + h"].startswith("0.1 s common to all edges, (k*, h) = (1, 0 s)")
+    assert rows["Jointly rooted, in windows of 1 ticks"] == "all 120 windows"
+
+
+def test_nothing_is_assumed_without_gains_or_bounds(tmp_path: Path) -> None:
+    record(make_plan(3, 30, channel=Netem(loss="10 %"), analysis=AnalysisPlan()), tmp_path / "run")
+    edges = Edges(load(tmp_path / "run"))
+    assert network.breaks_table(edges) is None
+    assert network.readings(edges) == []
+    assert ("Jointly rooted", "not evaluated: no h* is assumed") in network.totals(edges)
+
+
+def test_many_edges_are_folded_worst_first(tmp_path: Path) -> None:
+    edges = edges_of(tmp_path / "run", n=40, channel=Netem(delay="20 ms", loss="85 %"))
+    table = network.freshness_table(edges)
+    assert len(table.first) == network.OPEN_ROWS
+    assert len(table.first) + len(table.rest) == len(edges)
+    broken = [sum(stop - first for first, stop in edges.breaks[link].tolist()) for link in edges.worst_first]
+    assert broken == sorted(broken, reverse=True)
+    assert np.any(broken)
+    report.draw(tmp_path / "run")
+    assert "more edges</summary>" in (tmp_path / "run" / "report.html").read_text()
