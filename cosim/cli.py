@@ -130,16 +130,23 @@ def _init(args: argparse.Namespace) -> int:
     except ValueError as error:
         raise ConfigError([Problem(str(error))]) from None
     text = source.read_text(encoding="utf-8").replace(f"\nname: {source.stem}\n", f"\nname: {target.stem}\n", 1)
+    beside = configs.companions(args.source)
     try:
         with target.open("x", encoding="utf-8") as file:
             file.write(text)
+        for path in beside:
+            copy = target.parent / path
+            if not copy.exists():
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                copy.write_bytes((source.parent / path).read_bytes())
     except FileExistsError:
         raise ConfigError(
             [Problem("exists already; choose another name or remove it", Location(str(target)))]
         ) from None
     except OSError as error:
         raise ConfigError([Problem(f"cannot be written: {error.strerror}", Location(str(target)))]) from None
-    print(f"wrote {target}, a copy of {source.stem}; next: cosim check {target}")
+    files = "".join(f" with {path}" for path in beside)
+    print(f"wrote {target}, a copy of {source.stem}{files}; next: cosim check {target}")
     return 0
 
 

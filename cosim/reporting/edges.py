@@ -153,6 +153,19 @@ class Edges:
         return found
 
     @cached_property
+    def incidents(self) -> list[tuple[int, int, list[int]]]:
+        """Times at which some edge was older than assumed: first tick, the one after the last, and the edges."""
+        spans = sorted((*span, link) for link, own in enumerate(self.breaks) for span in own.tolist())
+        found: list[tuple[int, int, list[int]]] = []
+        for first, stop, link in spans:
+            if found and first <= found[-1][1]:
+                begin, end, edges = found[-1]
+                found[-1] = (begin, max(end, stop), edges if link in edges else [*edges, link])
+            else:
+                found.append((first, stop, [link]))
+        return found
+
+    @cached_property
     def worst_first(self) -> list[int]:
         """The edges: those that were too old for longest, then by their largest age at ticks."""
         too_old = [int((spans[:, 1] - spans[:, 0]).sum()) for spans in self.breaks]

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from cosim.recording.manifest import folder_problem, write_atomically
 from cosim.reporting import findings, network
+from cosim.reporting.meanwhile import AFTER_S, meanwhile_table
 from cosim.reporting.words import NOTHING
 from cosim.results import load
 from cosim.stopping import StopRequest
@@ -139,9 +140,11 @@ def _render(scene: Scene, shown: list[Shown]) -> str:
         traffic=network.traffic_table(edges) if told else None,
         breaks=network.breaks_table(edges) if told else None,
         readings=network.readings(edges),
+        meanwhile=meanwhile_table(scene) if told else None,
         realtime=findings.realtime(results),
         provenance=findings.provenance(results),
         figures=[figure for figure in shown if figure.svg],
         missing=[figure for figure in shown if not figure.svg],
         folder=FIGURES,
+        after_s=f"{AFTER_S:g}",
     )

@@ -32,6 +32,22 @@ def shipped(name: str) -> Path:
     return folder() / f"{name}.yaml"
 
 
+def companions(name: str) -> list[Path]:
+    """The files that a shipped scenario names, relative to its folder."""
+    from cosim.scenario.source import read
+
+    waiting, found = [read(shipped(name)).plain()], []
+    while waiting:
+        item = waiting.pop()
+        if isinstance(item, dict):
+            waiting += item.values()
+        elif isinstance(item, list):
+            waiting += item
+        elif isinstance(item, str) and "/" in item and (folder() / item).is_file():
+            found.append(Path(item))
+    return found
+
+
 def find(config: str) -> Path:
     """A scenario by file name, with or without its suffix, or a shipped one by its bare name; a file comes first.
 

@@ -64,7 +64,8 @@ def test_wheel(tree: Path) -> None:
         names = archive.namelist()
         metadata = archive.read(next(name for name in names if name.endswith("/WHEEL"))).decode()
     assert built_files() <= set(names)
-    assert {"cosim/configs/paper_leaders.yaml", "cosim/configs/channels/wifi_busy.yaml"} <= set(names)
+    shipped = {"paper_leaders.yaml", "channels/wifi_busy.yaml", "traces/synthetic_cellular.trace"}
+    assert {f"cosim/configs/{name}" for name in shipped} <= set(names)
     assert "Root-Is-Purelib: false" in metadata
     assert any(name.endswith("licenses/fmus/include/LICENSE-FMI.txt") for name in names)
 

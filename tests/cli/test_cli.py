@@ -116,3 +116,13 @@ def test_schema_is_json_and_survives_a_reader_that_leaves(cosim: Cosim) -> None:
     command = f"{sys.executable} -m cosim schema | head -1"
     done = subprocess.run(command, shell=True, cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
     assert (done.stdout, done.stderr) == ("{\n", "")
+
+
+def test_a_copy_of_a_shipped_scenario_has_the_files_that_it_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["init", "mine", "--from", "mixed_network"]) == 0
+    assert (tmp_path / "traces" / "synthetic_cellular.trace").is_file()
+    assert cli.main(["check", "mine.yaml"]) == 0
+    assert str(tmp_path / "traces") in capsys.readouterr().out

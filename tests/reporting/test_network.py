@@ -8,6 +8,9 @@ import pytest
 from cosim.plan import AnalysisPlan
 from cosim.reporting import network, report
 from cosim.reporting.edges import Edges
+from cosim.reporting.figures import heat, timeline
+from cosim.reporting.figures.scene import Scene
+from cosim.reporting.meanwhile import meanwhile_table
 from cosim.results import load
 from network.channel import ChannelModel
 from network.netem import Ideal, Netem
@@ -92,3 +95,31 @@ def test_many_edges_are_folded_worst_first(tmp_path: Path) -> None:
     assert np.any(broken)
     report.draw(tmp_path / "run")
     assert "more edges</summary>" in (tmp_path / "run" / "report.html").read_text()
+
+
+def test_meanwhile_is_the_disagreement_at_the_times_of_the_break(tmp_path: Path) -> None:
+    edges = edges_of(tmp_path / "run", channel=Netem(delay="20 ms", schedule={"down": [["3 s", "6 s"]]}))
+    assert edges.incidents == [(43, 61, list(range(len(edges))))]
+    table = meanwhile_table(Scene(edges.results))
+    assert table is not None
+    (row,) = table.rows
+    assert row[0] == "4.3 – 6.1 s"
+    positions = edges.results.array("plant.p")
+    deviation = np.abs(positions - positions[:, :1]).max(axis=(1, 2))
+    wanted = (deviation[43], deviation[43:62].max(), deviation[111])
+    assert row[2] == " → ".join(f"{value:.2g}" for value in wanted)
+
+
+def test_the_map_of_ages_has_the_largest_of_each_bin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    edges = edges_of(tmp_path / "run", channel=Netem(delay="20 ms", schedule={"down": [["3 s", "6 s"]]}))
+    monkeypatch.setattr(heat, "MAX_BINS", 24)
+    values, width = heat.binned(edges, [0])
+    assert (values.shape, width) == ((1, 24), 0.5)
+    assert values[0, [5, 6, 11, 12, 13]].tolist() == [0.1, 0.5, 3.0, 3.1, 0.1]
+
+
+def test_the_timeline_shows_the_worst_of_a_blackout(tmp_path: Path) -> None:
+    edges = edges_of(tmp_path / "run", channel=Netem(delay="20 ms", schedule={"down": [["3 s", "6 s"]]}))
+    begin, end = timeline.window(edges, edges.worst_first[0])
+    assert end - begin == pytest.approx(timeline.TICKS / 10)
+    assert begin < 3.0 < 6.0 < end

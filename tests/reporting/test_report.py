@@ -73,7 +73,7 @@ def test_svgs_are_well_formed_and_pdfs_are_pdfs(drawn: Path) -> None:
             root = ET.parse(path).getroot()
             assert root.tag == "{http://www.w3.org/2000/svg}svg"
             assert root.get("width") == "252pt"  # 3.5 inches: one column
-            assert "nan" not in re.sub(r'id="[^"]*"|"#[^"]*"', "", path.read_text().lower())
+            assert "nan" not in re.sub(r'id="[^"]*"|"#[^"]*"|"data:[^"]*"', "", path.read_text().lower())
         else:
             assert path.read_bytes().startswith(b"%PDF")
             assert b"/Type3" not in path.read_bytes()
@@ -85,7 +85,8 @@ def test_page_loads_nothing(drawn: Path) -> None:
     loading = [
         (tag, name, value)
         for tag, name, value in page.attributes
-        if name in ("src", "href", "xlink:href", "data", "action") and not value.startswith("#")
+        if name in ("src", "href", "xlink:href", "data", "action")
+        and not value.startswith(("#", "data:image/png;base64,"))
     ]
     links = {f"figures/{name}.{suffix}" for name in NAMES for suffix in ("svg", "pdf")}
     assert {value for _, _, value in loading} == links
@@ -99,7 +100,7 @@ def test_identifiers_are_unique_and_references_resolve(drawn: Path) -> None:
     page = Page((drawn / "report.html").read_text())
     found = [value for _, name, value in page.attributes if name == "id"]
     assert len(found) == len(set(found))
-    targets = {value[1:] for _, name, value in page.attributes if name == "xlink:href"}
+    targets = {value[1:] for _, name, value in page.attributes if name == "xlink:href" and value[0] == "#"}
     targets |= {match for _, _, value in page.attributes for match in re.findall(r"url\(#([^)]*)\)", value)}
     assert targets <= set(found)
 

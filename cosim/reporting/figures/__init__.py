@@ -11,6 +11,7 @@ from cosim.reporting.figures.age import draw_age
 from cosim.reporting.figures.channel import draw_channel
 from cosim.reporting.figures.disagreement import draw_disagreement
 from cosim.reporting.figures.graph import draw_graph
+from cosim.reporting.figures.heat import draw_heat
 from cosim.reporting.figures.lateness import draw_lateness
 from cosim.reporting.figures.scene import NotDrawn, Scene
 from cosim.reporting.figures.signals import (
@@ -19,6 +20,7 @@ from cosim.reporting.figures.signals import (
     relative_velocities,
     velocity_estimates,
 )
+from cosim.reporting.figures.timeline import draw_timeline
 from cosim.results import Results
 
 
@@ -45,6 +47,8 @@ FIGURES = (
     Entry("estimates", "Velocity estimates", velocity_estimates),
     Entry("disagreement", "Disagreement", draw_disagreement),
     Entry("age", "Age of information", draw_age),
+    Entry("heat", "Age of information over time", draw_heat),
+    Entry("timeline", "Deliveries", draw_timeline),
     Entry("parameters", "Parameter estimates", parameter_estimates),
 )
 PACED = (Entry("lateness", "Lateness against the wall clock", draw_lateness),)

@@ -23,6 +23,9 @@ def draw_disagreement(scene: Scene) -> tuple[Figure, str]:
     for colour, dashes, _, values in curves:
         shown = np.where(values > SMALLEST, values, np.nan)
         handles += ax.semilogy(scene.time, shown, color=colour, linestyle=dashes)
+    incidents = _incidents(scene)
+    for begin, end in incidents:
+        ax.axvspan(begin, end, color=style.WARM, alpha=0.12, linewidth=0)
     style.time_axis(ax, float(scene.time[0]), float(scene.time[-1]))
     ax.set_ylabel("largest deviation")
     low, high = np.log10(ax.get_ylim())
@@ -34,7 +37,16 @@ def draw_disagreement(scene: Scene) -> tuple[Figure, str]:
     centre = "the mean over agents" if scene.reference_velocity is None else "the desired velocity"
     text = "Largest deviation over all agents and elements, in the units of the signals: of positions from the first"
     text += f" agent's, of velocities and of their estimates from {centre}."
+    if incidents:
+        text += " Shaded: an edge was older than the design assumed."
     return figure, text
+
+
+def _incidents(scene: Scene) -> list[tuple[float, float]]:
+    if len(scene.edges) == 0 or scene.results.n_ticks < 2:
+        return []
+    period = scene.results.period_ns / 1e9
+    return [(first * period, stop * period) for first, stop, _ in scene.edges.incidents]
 
 
 def _curves(scene: Scene) -> list[tuple[str, object, str, Floats]]:
