@@ -22,6 +22,7 @@ from cosim.planning.graph import Edge, links_of, resolve_edges
 from cosim.planning.mailbox import mailbox_of, message_variables
 from cosim.planning.problems import Problems
 from cosim.planning.resolved import resolved_text
+from cosim.planning.silence import warn_of_silence
 from cosim.planning.starts import draw
 from cosim.planning.warnings import add_warnings
 from cosim.scenario import configs
@@ -96,6 +97,7 @@ def plan(scenario: Scenario, located: Mapping[str, Path] | None = None) -> Plann
         analysis = plan_analysis(scenario, members, problems)
     problems.raise_if_any()
     add_warnings(scenario, edges, analysis.leaders, problems)
+    warn_of_silence(scenario, edges, analysis, problems)
     layout = MessageLayout(tuple(message), tuple(variable.size for variable in message.values() if variable))
     agents = tuple(_agents(members, blueprints, mailboxes, bridged, edges, layout))
     _check_feedthrough(agents, blueprints, layout, problems)

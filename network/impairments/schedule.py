@@ -92,6 +92,16 @@ class Schedule(Impairment):
     def open(self, setting: Setting) -> Stage:
         return _Schedule(self, setting)
 
+    def is_down(self, time: Ints) -> NDArray[np.bool_]:
+        """Whether the link is down at some times, in nanoseconds."""
+        down = _inside(_edges(self.down), time)
+        if self.up is not None:
+            down |= ~_inside(_edges(self.up), time)
+        if self.outage is not None:
+            since = time - self.outage.first
+            down |= (since >= 0) & (since % self.outage.every < self.outage.down)
+        return down
+
     def max_delay_ns(self) -> int | None:
         return None if self.drop or self.down or self.up is not None or self.outage else 0
 
@@ -100,9 +110,7 @@ class _Schedule(Stage):
     def __init__(self, model: Schedule, setting: Setting) -> None:
         self._period_ns = setting.period_ns
         self._drop = np.array(model.drop, np.int64)
-        self._down = _edges(model.down)
-        self._up = None if model.up is None else _edges(model.up)
-        self._outage = model.outage
+        self._model = model
         self._count = np.zeros(len(setting.links), np.int64)
 
     def apply(self, tick: int, messages: Transmission) -> Transmission:
@@ -111,18 +119,9 @@ class _Schedule(Stage):
             link = messages.link[index]
             self._count[link] += 1
             lost = np.isin(self._count[link], self._drop) if len(self._drop) else np.zeros(len(link), np.bool_)
-            lost |= self._is_down(tick * self._period_ns + delay[index])
+            lost |= self._model.is_down(tick * self._period_ns + delay[index])
             delay[index[lost]] = NEVER
         return messages.with_delay(delay)
-
-    def _is_down(self, time: Ints) -> NDArray[np.bool_]:
-        down = _inside(self._down, time)
-        if self._up is not None:
-            down |= ~_inside(self._up, time)
-        if self._outage is not None:
-            since = time - self._outage.first
-            down |= (since >= 0) & (since % self._outage.every < self._outage.down)
-        return down
 
 
 def _edges(windows: list[tuple[int, int]]) -> Ints:

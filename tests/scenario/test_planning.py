@@ -285,6 +285,41 @@ def test_warnings(tmp_path: Path, changes: list[tuple[str, str]], sentences: lis
         assert sentence in warning
 
 
+@pytest.mark.parametrize(
+    ("channel", "sentence"),
+    [
+        (
+            "{model: netem, loss: 100 %}",
+            "delivers nothing in this run: every message is lost; without its edges",
+        ),
+        ("{model: netem, schedule: {up: [[1 s, 2 s]]}}", "its schedule is never up at a tick; without its edges"),
+        ("{model: netem, schedule: {up: [[10 ms, 90 ms]]}}", "its schedule is never up at a tick"),
+        ("{model: netem, delay: 1 s}", "its least delay, 1 s, is not shorter than the run"),
+        ("{model: netem, mahimahi: late.trace}", "its trace has no opportunity to send within the run"),
+    ],
+)
+def test_channels_that_deliver_nothing(tmp_path: Path, channel: str, sentence: str) -> None:
+    (tmp_path / "late.trace").write_text("1500\n")
+    text = changed(("fast: {model: ideal}", f"fast: {channel}"))
+    (warning,) = planned(tmp_path, text).warnings
+    assert sentence in warning.message
+    assert warning.where is not None
+
+
+@pytest.mark.parametrize(
+    "channel",
+    [
+        "{model: netem, loss: 99 %}",
+        "{model: netem, schedule: {up: [[0.9 s, 2 s]]}}",
+        "{model: netem, delay: 999 ms}",
+        "{model: netem, mahimahi: soon.trace}",
+    ],
+)
+def test_channels_that_may_deliver(tmp_path: Path, channel: str) -> None:
+    (tmp_path / "soon.trace").write_text("500\n")
+    assert planned(tmp_path, changed(("fast: {model: ideal}", f"fast: {channel}"))).warnings == ()
+
+
 def test_midpoint_wants_the_plant_before_its_controller(tmp_path: Path) -> None:
     components = BASE[BASE.index("      plant:") : BASE.index("    connections:")]
     plant, controller = components.split("      controller:")

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from cosim.reporting.edges import Edges
 from cosim.reporting.figures import style
@@ -40,7 +41,7 @@ def draw_heat(scene: Scene) -> tuple[Figure, str]:
     labels = ["older than assumed"] if broken else []
     figure, (ax,) = style.panels(1, height, lines=style.legend_lines(labels))
     if (grid := ax.get_gridspec()) is not None:
-        grid.update(right=0.93)  # for the label of the colour bar
+        grid.update(right=0.915)  # for the label of the colour bar
     end = edges.span.n_ticks * results.period_ns / 1e9
     largest = float(values.max())
     image = ax.imshow(
@@ -52,6 +53,7 @@ def draw_heat(scene: Scene) -> tuple[Figure, str]:
         extent=(0.0, values.shape[1] * width, len(shown) - 0.5, -0.5),
     )
     bar = figure.colorbar(image, ax=ax, pad=0.02, fraction=0.05, aspect=max(8.0, 12 * height))
+    bar.ax.yaxis.set_major_locator(MaxNLocator(5))
     bar.set_label("age (s)", labelpad=2)
     bar.outline.set_linewidth(0.4)
     bar.ax.tick_params(width=0.5, size=2)
