@@ -110,6 +110,11 @@ def open_session(settings: Mapping[str, object]) -> zenoh.Session:
     return zenoh.open(config)
 
 
+def _listening(endpoints: Sequence[str]) -> dict[str, object]:
+    """Settings of a session that is the router of a run."""
+    return {"mode": "router", "listen/endpoints": list(endpoints), _WAIT: int(HUB_STALL * 1e6)}
+
+
 def _connecting(endpoints: Sequence[str], timeout: float) -> dict[str, object]:
     """Settings of a session that connects to a router, which need not be there yet."""
     return {
@@ -548,9 +553,7 @@ def open_hub(
     if not listen and not connect:
         folder = _private_folder()
         listen = [f"unixsock-stream/{folder / 'hub'}"]
-    own = {"mode": "router", "listen/endpoints": list(listen), _WAIT: int(HUB_STALL * 1e6)}
-    if connect:
-        own = _connecting(connect, timeout)
+    own = _connecting(connect, timeout) if connect else _listening(listen)
     try:
         session = open_session({**own, **(settings or {})})
     except zenoh.ZError as error:
@@ -573,6 +576,7 @@ def connect(
     settings: Mapping[str, object] | None = None,
     timeout: float = 10.0,
     waiting: Callable[[str], None] = lambda _: None,
+    listen: bool = False,
     tamper: Tamper | None = None,
 ) -> ZenohClient:
     """Join a run as `name`; the hub need not be there yet.
@@ -585,6 +589,7 @@ def connect(
         settings: as in `open_hub`.
         timeout: seconds for all of it.
         waiting: told what for, again and again.
+        listen: be the router at `endpoints`, to which the hub and all others connect.
         tamper: for tests.
 
     Raises:
@@ -594,7 +599,10 @@ def connect(
     deadline = time.monotonic() + timeout
     keys = _keys(run, namespace)
     check_name(name, "process")
-    session = _reach(name, endpoints, settings or {}, deadline, waiting)
+    if listen:
+        session = _listen(name, endpoints, settings or {})
+    else:
+        session = _reach(name, endpoints, settings or {}, deadline, waiting)
     endpoint = ZenohClient(session, keys, run, name, tamper)
     try:
         endpoint.join(deadline, waiting)
@@ -602,6 +610,14 @@ def connect(
         endpoint.leave()
         raise
     return endpoint
+
+
+def _listen(name: str, endpoints: Sequence[str], settings: Mapping[str, object]) -> zenoh.Session:
+    """A session that is the router; see `connect`."""
+    try:
+        return open_session({**_listening(endpoints), **settings})
+    except zenoh.ZError as error:
+        raise Refused(f"{name}: cannot listen at {', '.join(endpoints)}: {error}") from error
 
 
 def _reach(

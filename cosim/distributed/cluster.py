@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -15,7 +15,7 @@ from cosim.distributed.orchestration import Orchestration
 from cosim.distributed.processes import Processes
 from cosim.distributed.supervision import Supervisor, Tell
 from cosim.errors import ClusterError, CosimError
-from cosim.inline import Observer, Take
+from cosim.inline import Interrupted, Observer, Take
 from cosim.pacing import Pacer
 from cosim.plan import Plan, Workers
 from cosim.scratch import Scratch
@@ -24,6 +24,9 @@ from network.transport import Hub, TransportError
 PER_AGENT: Final = "per-agent"
 STEP_DEADLINE = 30.0
 """Seconds in which some process must get further."""
+
+_ROUTER_SECONDS = 30.0
+_TRY_SECONDS = 1.0
 
 
 def division(plan: Plan, wanted: str | None) -> dict[str, Share]:
@@ -86,27 +89,29 @@ def run(  # noqa: PLR0917
     """
     if isinstance(workers, int):
         workers = divide(len(plan.agents), workers)
-    with (
-        Scratch() as scratch,
-        _hub(scratch) as (run_id, hub),
-        Processes(run_id, hub.endpoints[0], scratch) as processes,
-    ):
+    run_id = secrets.token_hex(8)
+    with Scratch() as scratch, Processes(run_id, f"unixsock-stream/{scratch / 'hub'}", scratch) as processes:
         if folder is not None:
             leave_word(scratch, folder)
         processes.start((EMULATOR, *workers))
         seers = observers if pacer is None else [*observers, pacer]
         orchestration = Orchestration(plan, workers, seers, take, paced=pacer is not None)
-        Supervisor(plan, hub, processes, orchestration, stop_requested, step_deadline, tell, pacer).run()
+        with _hub(run_id, processes, stop_requested) as hub:
+            Supervisor(plan, hub, processes, orchestration, stop_requested, step_deadline, tell, pacer).run()
 
 
-@contextmanager
-def _hub(scratch: Path) -> Iterator[tuple[str, Hub]]:
+def _hub(run_id: str, processes: Processes, stop_requested: Callable[[], bool]) -> Hub:
+    """The hub, as soon as the emulator's process, which is the router, is there to connect to."""
     from network.zenoh import open_hub
 
-    run_id = secrets.token_hex(8)
-    try:
-        hub = open_hub(run_id, listen=[f"unixsock-stream/{scratch / 'hub'}"])
-    except TransportError as error:
-        raise ClusterError(str(error)) from error
-    with hub:
-        yield run_id, hub
+    deadline = time.monotonic() + _ROUTER_SECONDS
+    while True:
+        try:
+            return open_hub(run_id, connect=[processes.endpoint], timeout=_TRY_SECONDS)
+        except TransportError as error:
+            if stop_requested():
+                raise Interrupted(0) from error
+            if (ended := processes.ended()) is not None:
+                raise ClusterError(f"{ended}: its process {processes.condition(ended)} before it joined") from error
+            if time.monotonic() > deadline:
+                raise ClusterError(str(error)) from error

@@ -253,12 +253,12 @@ class Visitors(Processes):
     def dismiss(self, name: str) -> None:
         """It is not this process's to end."""
 
-    def await_end(self, name: str) -> None:
+    def await_end(self, *names: str) -> None:
         """It is gone as far as can be seen from here."""
 
-    def await_all(self, seconds: float) -> None:
-        """Give all of them time to leave in good order."""
-        await_departure(self._hub, self._names, seconds)
+    def await_all(self, seconds: float, but: Collection[str] = ()) -> None:
+        """Give all of them, but some, time to leave in good order."""
+        await_departure(self._hub, [name for name in self._names if name not in but], seconds)
 
 
 # --- what people are told ---------------------------------------------------------------------------------------------

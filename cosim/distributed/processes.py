@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from contextlib import suppress
 from pathlib import Path
 
@@ -23,13 +23,13 @@ class Processes:
 
     Args:
         run_id: of the run.
-        endpoint: of its hub.
+        endpoint: at which the emulator listens, and all others connect.
         scratch: folder of the run.
     """
 
     def __init__(self, run_id: str, endpoint: str, scratch: Path) -> None:
         self._run_id = run_id
-        self._endpoint = endpoint
+        self.endpoint = endpoint
         self._scratch = scratch
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
@@ -47,7 +47,7 @@ class Processes:
         previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # inherited by what is started
         try:
             for name in names:
-                command = [sys.executable, "-P", "-m", "cosim", "_process", name, self._run_id, self._endpoint]
+                command = [sys.executable, "-P", "-m", "cosim", "_process", name, self._run_id, self.endpoint]
                 command.append(str(self._scratch))
                 self._running[name] = subprocess.Popen(command, env=environment, stdin=subprocess.PIPE)  # noqa: S603
         except OSError as error:
@@ -74,21 +74,20 @@ class Processes:
         """What a worker is doing, or was when it ended; None if it is not known."""
         return whereabouts.read(self._scratch, name)
 
-    def await_end(self, name: str) -> None:
-        """Give a process whose connection is gone a moment to end, unless it is stopped."""
+    def await_end(self, *names: str) -> None:
+        """Give processes whose connections are gone a moment, until one of them has ended or is stopped."""
         deadline = time.monotonic() + _EXIT_SECONDS
-        while self.condition(name) is None and time.monotonic() < deadline:
-            with suppress(subprocess.TimeoutExpired):
-                self._running[name].wait(_EXIT_SECONDS / 50)
+        while all(self.condition(name) is None for name in names) and time.monotonic() < deadline:
+            time.sleep(_EXIT_SECONDS / 500)
 
     def dismiss(self, name: str) -> None:
         """Kill a process, if it has not ended, and forget it."""
         _end([self._running.pop(name)])
 
-    def await_all(self, seconds: float) -> None:
-        """Give all of them time to end in good order."""
+    def await_all(self, seconds: float, but: Collection[str] = ()) -> None:
+        """Give all of them, but some, time to end in good order."""
         deadline = time.monotonic() + seconds
-        for process in self._running.values():
+        for process in (process for name, process in self._running.items() if name not in but):
             with suppress(subprocess.TimeoutExpired):
                 process.wait(max(0.0, deadline - time.monotonic()))
 

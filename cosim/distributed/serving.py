@@ -38,6 +38,9 @@ TOGETHER_SECONDS = 0.0005
 """How long messages may be held back so that others travel with them: some times what it costs to send one."""
 
 _IDLE_SECONDS = 1.0
+_ONE_THREAD = "(rx:(handover:app),acc:(handover:app),tx:(handover:app),net:(handover:app),app:(worker_threads:1))"
+"""Of Zenoh, for a process that relays nothing: fewer threads to wake. A router would block itself with it."""
+
 _JOIN_SECONDS = 30.0
 _GRACE_SECONDS = 0.5
 _MAIL_BYTES = 32 << 20
@@ -177,16 +180,20 @@ def main(args: argparse.Namespace) -> NoReturn:
     orphaned, folder = threading.Event(), bequest(args.scratch, args.name)
     guard = threading.Thread(target=_guard, args=(args.scratch, folder, orphaned), name="guard", daemon=True)
     guard.start()
+    listen = args.name == EMULATOR  # half the way for samples and mail: the router is where they go
+    if not listen:
+        os.environ.setdefault("ZENOH_RUNTIME", _ONE_THREAD)
     from cosim.distributed import whereabouts
     from network.zenoh import connect
 
     code = 0
     try:
-        endpoint = connect(args.run, args.name, [args.endpoint], timeout=_JOIN_SECONDS)
+        endpoint = connect(args.run, args.name, [args.endpoint], timeout=_JOIN_SECONDS, listen=listen)
         serve(endpoint, whereabouts.write_to(args.scratch, args.name))
     except PeerLost:
-        shutil.rmtree(args.scratch, ignore_errors=True)
         code = EXIT_ORPHANED
+        if orphaned.wait(_GRACE_SECONDS):  # else it is the router that is gone, and the orchestrator clears up
+            shutil.rmtree(args.scratch, ignore_errors=True)
     except (Refused, TransportTimeout) as error:
         print(f"error: {args.name} cannot join the run: {error}", file=sys.stderr)
         code = EXIT_ORPHANED

@@ -47,8 +47,21 @@ def carried(plan: Plan, name: str, workers: Mapping[str, Share]) -> str:
     return f"{name} (agent{'' if len(workers[name]) == 1 else 's'} {names})"
 
 
-def waits(plan: Plan, workers: Mapping[str, Share], standing: Standing, culprits: Sequence[str]) -> list[str]:
-    """One line for all processes that wait for the same, except the culprits'."""
+def waits(
+    plan: Plan, workers: Mapping[str, Share], standing: Standing, culprits: Sequence[str], *, cut_off: bool
+) -> list[str]:
+    """One line for all processes that wait for the same, except the culprits'.
+
+    Args:
+        plan: what runs.
+        workers: the agents of each.
+        standing: how far everybody is.
+        culprits: those that others wait for.
+        cut_off: whether the emulator is gone, through which the workers would have answered.
+    """
+    if cut_off and standing.ready:
+        verb = "waits" if len(workers) == 1 else "wait"
+        return [f"{_together(plan, workers, [*workers])} {verb} for mail from the emulator"]
     lines = []
     if EMULATOR not in culprits:
         lines.append(f"the emulator {_reason(plan, workers, standing, EMULATOR)[0]}")

@@ -184,7 +184,9 @@ class Supervisor:
         """A process is gone, or cut off: replace it, or end the run."""
         if name not in self._orchestration.processes:  # it has been replaced
             return
-        self._processes.await_end(name)
+        self._processes.await_end(name, EMULATOR)
+        if self._processes.condition(EMULATOR) is not None:  # with it, all connections may have broken
+            name = EMULATOR
         self._resolve([name], self._processes.condition(name) or f"was lost: {reason}")
 
     def _hang(self) -> None:
@@ -255,7 +257,8 @@ class Supervisor:
         workers = self._orchestration.workers
         who = " and ".join(carried(self._plan, name, workers) for name in names)
         lines = [f"{who} {condition} {self._when(moment)}", *further]
-        lines += waits(self._plan, workers, self._orchestration.standing(), names)
+        cut_off = self._processes.condition(EMULATOR) is not None
+        lines += waits(self._plan, workers, self._orchestration.standing(), names, cut_off=cut_off)
         return ClusterError("\n  ".join(lines))
 
     def _when(self, moment: Moment) -> str:
@@ -291,8 +294,11 @@ class Supervisor:
                 send(self._hub, orchestration.ask())
 
     def _dismiss(self, seconds: float) -> None:
-        """Send everybody home, and wait for them."""
-        for message in self._orchestration.end():
-            with suppress(PeerLost):
-                self._hub.send(message.receiver, message.kind, message.tick)
-        self._processes.await_all(seconds)
+        """Send everybody home, and wait for them; the emulator, through which all may be connected, goes last."""
+        farewells = self._orchestration.end()
+        for last in (False, True):
+            for message in farewells:
+                if (message.receiver == EMULATOR) == last:
+                    with suppress(PeerLost):
+                        self._hub.send(message.receiver, message.kind, message.tick)
+            self._processes.await_all(seconds, () if last else (EMULATOR,))
