@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import re
 import signal
 import subprocess
@@ -228,7 +227,7 @@ def test_orchestrator_that_is_killed_takes_all_with_it(others: dict[int, tuple[s
     assert_begins_on_disk(tmp_path / "out", scenario(3, ring(3), "late", ticks=50), done.stderr)
 
 
-@pytest.mark.parametrize("tick", random.choices(range(400), k=2))
+@pytest.mark.parametrize("tick", [53, 271])
 def test_orchestrator_that_is_killed_from_outside_leaves_all_it_had(tick: int, tmp_path: Path) -> None:
     text = scenario(4, ring(4), "slack", ticks=20_000)
     (tmp_path / "net.yaml").write_text(text)

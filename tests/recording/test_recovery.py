@@ -315,7 +315,7 @@ def cosim(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize("tick", np.random.default_rng().integers(0, 12, 2).tolist())
+@pytest.mark.parametrize("tick", [2, 9])
 def test_run_that_is_killed(tick: int, tmp_path: Path) -> None:
     from tests.distributed.networks import ring, scenario
 
