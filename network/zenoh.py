@@ -457,7 +457,9 @@ class ZenohClient(ZenohEndpoint):
         while True:
             self._await_hub(deadline, waiting)
             left = deadline - time.monotonic()
-            replies = self._session.get(self._keys.join(self.name), payload=hello, timeout=max(0.01, left))
+            # Asked again if a hub goes before it has answered, and another comes; to ask twice is to ask once.
+            patience = max(0.01, min(left, _TRY))
+            replies = self._session.get(self._keys.join(self.name), payload=hello, timeout=patience)
             for reply in replies:
                 if reply.ok is not None:
                     self._welcomed(reply.ok.payload.to_bytes())

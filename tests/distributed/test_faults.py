@@ -93,7 +93,7 @@ def test_many_that_wait_for_the_same_are_told_together() -> None:
     with pytest.raises(AssertionError):
         loop.run()
     loop.ask()
-    lines = waits(plan, loop.orchestration.workers, loop.orchestration.standing(), ["worker-5"])
+    lines = waits(plan, loop.orchestration.workers, loop.orchestration.standing(), ["worker-5"], cut_off=False)
     assert lines == [
         "the emulator waits for all to be ready",
         "11 workers (worker-1..4, worker-6..12) wait for all to be ready",

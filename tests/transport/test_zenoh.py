@@ -26,7 +26,7 @@ from network.transport import (
     WireError,
 )
 from network.zenoh import ZenohHub, connect, open_hub
-from tests.transport.peer import PATIENCE, Peer, flood, peer
+from tests.transport.peer import PATIENCE, flood, peer
 
 
 def free_port() -> int:
@@ -458,7 +458,7 @@ def test_nothing_stays_behind(run: str) -> None:
 
 
 def test_a_process_ends_when_the_hub_goes(unix_hub: ZenohHub, run: str) -> None:
-    started = Peer(run, "worker-1", unix_hub.endpoints[0], "echo")
-    unix_hub.await_peers(["worker-1"], PATIENCE)
-    unix_hub.close()
-    assert started.end() == 1
+    with peer(run, "worker-1", unix_hub.endpoints[0], "echo") as started:
+        assert started.line() == "joined"
+        unix_hub.close()
+        assert started.end() == 1
