@@ -98,6 +98,12 @@ def _part(
     description = describer.describe(origin, {}, where) if origin else None
     if origin is None or description is None:
         return None
+    if spec.sha256 not in (None, description.sha256):
+        describer.problems.error(
+            f"{spec.fmu or spec.python} is not the file that is asked for: "
+            f"its SHA-256 is {description.sha256}, not {spec.sha256}",
+            node.locate("sha256"),
+        )
     variables, problems = description.variables, describer.problems
     start = dict(_start_values(spec, node, variables, problems, structural=True))
     for reference, value in assigned.items():

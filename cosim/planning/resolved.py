@@ -8,14 +8,14 @@ from typing import Any
 
 from cosim.components.component import Value, Variable
 from cosim.plan import EXTERNAL, AgentPlan, Loop, Workers
-from cosim.planning.blueprint import Blueprint
+from cosim.planning.blueprint import Blueprint, Part
 from cosim.planning.describing import is_file
 from cosim.planning.graph import Edge
 from cosim.planning.starts import INTEGERS
 from cosim.scenario.names import agent_names, in_short
 from cosim.scenario.reading import Scenario
 from cosim.scenario.source import Lines, dump
-from cosim.scenario.spec import BridgeSpec, SubscriptionSpec
+from cosim.scenario.spec import BridgeSpec, ComponentSpec, SubscriptionSpec
 from network.units import format_duration
 
 Tree = dict[str, Any]
@@ -111,12 +111,7 @@ def _group(agents: Sequence[AgentPlan], blueprints: Sequence[Blueprint]) -> tupl
 def _common(agent: AgentPlan, blueprint: Blueprint) -> Tree:
     """All of an agent but its start values."""
     spec = blueprint.entry.spec
-    components = {
-        part.name: {"python": part.origin.python}
-        if part.origin.python is not None
-        else {"fmu": _fmu_text(spec.components[part.name].fmu or "", str(part.origin.path))}
-        for part in blueprint.parts
-    }
+    components = {part.name: _component(part, spec.components[part.name]) for part in blueprint.parts}
     coupling = agent.coupling
     tree: Tree = {
         "components": components,
@@ -134,6 +129,16 @@ def _common(agent: AgentPlan, blueprint: Blueprint) -> Tree:
         | ({"loop": str(coupling.loop)} if spec.coupling.loop or coupling.loop is Loop.PYTHON else {}),
     }
     return {key: value for key, value in tree.items() if value or key == "record"}
+
+
+def _component(part: Part, spec: ComponentSpec) -> Tree:
+    """A component without its start values."""
+    tree: Tree = (
+        {"python": part.origin.python}
+        if part.origin.python is not None
+        else {"fmu": _fmu_text(spec.fmu or "", str(part.origin.path))}
+    )
+    return tree | spec.model_dump(mode="json", include={"sha256"}, exclude_none=True)
 
 
 def _fmu_text(written: str, path: str) -> str:

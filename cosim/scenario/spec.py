@@ -172,6 +172,19 @@ else:
     )
 
 
+def _check_sha256(text: str) -> str:
+    if not re.fullmatch(r"[0-9A-Fa-f]{64}", text):
+        raise ValueError(f"{text!r} is no SHA-256; it has 64 hexadecimal digits, as `sha256sum FILE` prints them")
+    return text.lower()
+
+
+Sha256: TypeAlias = Annotated[
+    str,
+    AfterValidator(_check_sha256),
+    WithJsonSchema({"type": "string", "pattern": "^[0-9A-Fa-f]{64}$"}),
+]
+
+
 class ComponentSpec(Spec):
     """One component of an agent: an FMU or a Python class."""
 
@@ -183,6 +196,11 @@ class ComponentSpec(Spec):
     python: str | None = Field(None, description="A Python class that is a component: package.module:Class.")
     start: dict[str, StartValue] = Field(
         {}, description="Start values and parameters by variable; one value fills a whole array."
+    )
+
+    sha256: Sha256 | None = Field(
+        None,
+        description="SHA-256 that the file must have, as `sha256sum` prints it; of a Python class, its source file's.",
     )
 
     @model_validator(mode="after")

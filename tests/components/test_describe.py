@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import os
+import re
 import zipfile
 from pathlib import Path
 
@@ -9,7 +12,9 @@ import pytest
 
 import fmus
 from cosim.components.component import Interface, Variable, head
+from cosim.components.fmu import archive as archive_module
 from cosim.components.fmu import describe
+from cosim.components.fmu.archive import inspect, unpack
 from cosim.errors import ConfigError
 from tests.components.probe import FAILS, TYPES, description2, description3, write_fmu
 
@@ -274,10 +279,59 @@ def test_members_that_leave_the_folder_are_refused(probe_library: Path, tmp_path
     assert "is refused: its member" in refusal(path)
 
 
-def test_links_are_refused(probe_library: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("mode", "said"), [(0o120777, "is a symbolic link"), (0o010644, "is neither a file nor")])
+def test_links_and_the_like_are_refused(probe_library: Path, tmp_path: Path, mode: int, said: str) -> None:
     path = write_fmu(tmp_path / "x.fmu", probe_library, description3())
-    link = zipfile.ZipInfo("resources/link")
-    link.external_attr = 0o120777 << 16
+    member = zipfile.ZipInfo("resources/link")
+    member.external_attr = mode << 16
     with zipfile.ZipFile(path, "a") as archive:
-        archive.writestr(link, "/etc")
-    assert "is a symbolic link" in refusal(path)
+        archive.writestr(member, "/etc")
+    assert said in refusal(path)
+
+
+# --- archives made to fill the disk -----------------------------------------------------------------------------------
+def test_what_grows_beyond_measure_is_refused(probe_library: Path, tmp_path: Path) -> None:
+    path = write_fmu(tmp_path / "x.fmu", probe_library, description3())
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive, archive.open("resources/zeros", "w") as member:
+        for _ in range(300):
+            member.write(bytes(1 << 20))
+    assert re.search(r"is refused: unpacked it would take 0\.31\d GB, \d+ times its own size", refusal(path))
+
+
+def test_members_that_share_their_bytes_are_refused(probe_library: Path, tmp_path: Path) -> None:
+    """As those of the archives of D. Fifield, A better zip bomb (2019)."""
+    path = write_fmu(tmp_path / "x.fmu", probe_library, description3())
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("resources/kernel", os.urandom(1 << 16))
+        kernel = archive.getinfo("resources/kernel")
+        for i in range(8):
+            twin = copy.copy(kernel)
+            twin.filename = f"resources/twin{i}"
+            archive.filelist.append(twin)
+            archive.NameToInfo[twin.filename] = twin
+        archive._didModify = True  # type: ignore[attr-defined] # writes the table of contents anew
+    assert "its members overlap" in refusal(path)
+
+
+def test_too_many_members_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(archive_module, "_MOST_MEMBERS", 10)
+    path = write_fmu(tmp_path / "x.fmu", None, description3(), {f"resources/{i}": "" for i in range(10)})
+    assert "it holds 11 files, more than 10" in refusal(path)
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_two_members_of_one_name_are_refused(tmp_path: Path) -> None:
+    path = write_fmu(tmp_path / "x.fmu", None, description3())
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("modelDescription.xml", description2())
+    assert "its member 'modelDescription.xml' is there twice" in refusal(path)
+
+
+def test_a_member_that_is_longer_than_it_says_is_not_unpacked_further(probe_library: Path, tmp_path: Path) -> None:
+    path = write_fmu(tmp_path / "x.fmu", probe_library, description3())
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("resources/long", bytes(1 << 20))
+        archive.getinfo("resources/long").file_size = 100
+    checked = inspect(path)
+    with pytest.raises(ConfigError, match="cannot be unpacked"):
+        unpack(checked, lambda name: name == "resources/long")

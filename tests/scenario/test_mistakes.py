@@ -3,13 +3,16 @@
 In a replacement, `§` marks the place that must be reported.
 """
 
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
 
+import fmus
 from tests.scenario.scenarios import BASE, FILE, changed, errors, marked, problems
 
 Change = tuple[str, str]
+ARM_SHA256 = sha256(fmus.path("TwoLinkArm").read_bytes()).hexdigest()
 
 HOW_IT_IS_WRITTEN: dict[str, tuple[Change, str]] = {
     "unknown key": (("duration:", "§duratoin: 1 s\nduration:"), "unknown key 'duratoin' (did you mean 'duration'?)"),
@@ -74,6 +77,7 @@ HOW_IT_IS_WRITTEN: dict[str, tuple[Change, str]] = {
         ("fmu: TwoLinkArm\n", "§fmu: TwoLinkArm\n        python: m:C\n"),
         "give either 'fmu' or 'python', not both",
     ),
+    "pin": (("fmu: TwoLinkArm\n", "fmu: TwoLinkArm\n        sha256: §12ab\n"), "'12ab' is no SHA-256; it has 64"),
     "start value": (
         ("v: 0}", "v: §{unifrom: [0, 1]}}"),
         "a start value is a number, true or false, text, a list of these",
@@ -117,6 +121,10 @@ WHAT_IT_MEANS: dict[str, tuple[Change, str]] = {
     "shipped FMU": (
         ("fmu: TwoLinkArm\n", "fmu: §TwoLinkAm\n"),
         "no shipped FMU is called 'TwoLinkAm' (did you mean 'TwoLinkArm'?)",
+    ),
+    "another file than is pinned": (
+        ("fmu: TwoLinkArm\n", f"fmu: TwoLinkArm\n        sha256: §{'0' * 63}A\n"),
+        f"TwoLinkArm is not the file that is asked for: its SHA-256 is {ARM_SHA256}, not {'0' * 63}a",
     ),
     "FMU file": (("fmu: TwoLinkArm\n", "fmu: §models/arm.fmu\n"), "no FMU file 'models/arm.fmu'; looked for /"),
     "Python module": (

@@ -1,6 +1,7 @@
 """From names to indices, from distributions to numbers: what a scenario is planned as."""
 
 from dataclasses import fields, is_dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -243,6 +244,14 @@ def test_the_resolved_scenario_names_files_absolutely(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, changed(("fmu: TwoLinkArm\n", "fmu: ./arm.fmu\n")))
     assert f"fmu: {tmp_path / 'arm.fmu'}\n" in plan.scenario
     assert "fmu: ArmSyncController" in plan.scenario
+
+
+def test_the_resolved_scenario_keeps_pins(tmp_path: Path) -> None:
+    import fmus
+
+    pin = f"sha256: {sha256(fmus.path('TwoLinkArm').read_bytes()).hexdigest()}\n"
+    plan = plan_of(tmp_path, changed(("fmu: TwoLinkArm\n", f"fmu: TwoLinkArm\n        {pin}")))
+    assert pin in plan.scenario
 
 
 # --- warnings ---------------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import stat
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -22,6 +22,12 @@ ORIGINAL = "extra/netcosim/original.json"
 """Member of an FMU that holds only the description; says of which file (docs/hosts.md)."""
 
 _LIBRARY_SUFFIXES = {".so", ".dll", ".dylib"}
+
+_MOST_MEMBERS = 100_000
+_MOST_BYTES = 16 << 30
+_ALWAYS_BYTES, _USUAL_RATIO = 256 << 20, 200
+"""Up to so many bytes when unpacked nothing is asked; beyond, so many times the file's own size is too much."""
+_DESCRIPTION_BYTES = 256 << 20
 
 
 @dataclass(frozen=True)
@@ -98,13 +104,15 @@ def inspect(path: Path) -> Archive:
     """Read an archive's table of contents.
 
     Raises:
-        ConfigError: no such file, no ZIP archive, truncated, or with a member that would be unpacked elsewhere.
+        ConfigError: no such file, no ZIP archive, truncated, with a member that would be unpacked elsewhere, or with
+            more than anybody would want unpacked.
     """
     try:
         with path.open("rb") as file:
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
+            _check(path, members)
             said = archive.read(ORIGINAL) if any(member.filename == ORIGINAL for member in members) else None
             original = None if said is None else Original.parse(said)
     except FileNotFoundError:
@@ -115,10 +123,6 @@ def inspect(path: Path) -> Archive:
         raise refuse(path, "is not an FMU: not a ZIP archive, or a truncated one") from error
     except (ValueError, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
         raise refuse(path, f"has a broken {ORIGINAL}: {error}") from error
-    for member in members:
-        reason = _escapes(member)
-        if reason:
-            raise refuse(path, f"is refused: its member {member.filename!r} {reason}")
     names = tuple(member.filename for member in members)
     return Archive(path, original.sha256 if original else sha256, names, original)
 
@@ -142,6 +146,33 @@ def unpack(archive: Archive, wanted: Callable[[str], bool]) -> Path:
     return folder
 
 
+def _check(path: Path, members: Sequence[zipfile.ZipInfo]) -> None:
+    """Refuse what could write outside the folder, or fill the disk. `zipfile` unpacks no more than a member declares.
+
+    Raises:
+        ConfigError: says which member, and why.
+    """
+    seen: set[str] = set()
+    for member in members:
+        reason = _escapes(member) or _unfit(member, seen)
+        if reason:
+            raise refuse(path, f"is refused: its member {member.filename!r} {reason}")
+        seen.add(member.filename)
+    size, packed, unpacked = (
+        path.stat().st_size,
+        sum(member.compress_size for member in members),
+        sum(member.file_size for member in members),
+    )
+    if len(members) > _MOST_MEMBERS:
+        raise refuse(path, f"is refused: it holds {len(members)} files, more than {_MOST_MEMBERS}")
+    if packed > size:
+        raise refuse(path, "is refused: its members overlap, as those of archives made to fill a disk do")
+    if unpacked > _MOST_BYTES or unpacked > max(_ALWAYS_BYTES, _USUAL_RATIO * size):
+        raise refuse(
+            path, f"is refused: unpacked it would take {unpacked / 1e9:.3g} GB, {unpacked // size} times its own size"
+        )
+
+
 def _escapes(member: zipfile.ZipInfo) -> str:
     """Why unpacking the member could write outside the folder; empty if it cannot."""
     name = member.orig_filename  # before `zipfile` tidied it
@@ -150,8 +181,22 @@ def _escapes(member: zipfile.ZipInfo) -> str:
     path = PurePosixPath(name)
     if path.is_absolute() or ".." in path.parts:
         return "would be unpacked outside the folder"
-    if stat.S_ISLNK(member.external_attr >> 16):
+    kind = stat.S_IFMT(member.external_attr >> 16)
+    if kind == stat.S_IFLNK:
         return "is a symbolic link"
+    if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
+        return "is neither a file nor a folder"
+    return ""
+
+
+def _unfit(member: zipfile.ZipInfo, seen: Container[str]) -> str:
+    """Why the member is refused although it stays inside the folder; empty if it is not."""
+    if member.filename in seen and not member.is_dir():
+        return "is there twice, and tools differ in which one they take"
+    if member.filename in ("modelDescription.xml", ORIGINAL) and member.file_size > _DESCRIPTION_BYTES:
+        return (
+            f"takes {member.file_size / 1e6:.0f} MB, more than the {_DESCRIPTION_BYTES >> 20} MiB that are read of it"
+        )
     return ""
 
 
