@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from network.channel import Channel, ChannelModel, Setting
 from network.draws import Draws
-from network.messages import NEVER, Exchange, Fate, Fates, Floats, Ints, Links, Mail, MessageLayout
+from network.messages import NEVER, Exchange, Fate, Fates, Floats, Ints, Links, Mail, MessageLayout, Stretch
 
 _MESSAGES_AT_ONCE = 2**14  # routed in one block, unless a single tick has more: beyond, caches overflow
 _TICKS_AT_ONCE = 64
@@ -49,10 +50,9 @@ class _Block:
         table: (6, n) every message whose fate becomes known in the block, in the total order of each tick in turn.
         fate: (n,) their fates.
         ends: (stop - first + 1,) column of `table` at which each tick's messages begin, and the end.
-        mail: (6, m) those that arrive, by tick and receiver, then in the total order.
+        mail: (6, m) those that arrive, by group, tick and receiver, then in the total order.
         slot, sender: (m,) of those.
-        mail_ends: (stop - first, n_agents + 1) column of `mail` at which each agent's messages of a tick begin, and
-            the end.
+        mail_ends: of each group, column of `mail` at which the messages of each agent begin, tick by tick, and the end.
     """
 
     first: int
@@ -63,7 +63,7 @@ class _Block:
     mail: Ints
     slot: Ints
     sender: Ints
-    mail_ends: Ints
+    mail_ends: Sequence[Ints]
 
 
 class _Samples:
@@ -96,7 +96,8 @@ class _Samples:
 class Emulator:
     """Applies every edge's channel to the samples that agents publish.
 
-    Per tick, in order from 0: `emulate`, or `publish` and then `exchange`. After the last one: `finish`.
+    Per tick, in order from 0: `emulate`, or `publish` and then `exchange`; `exchange_several` is for several ticks at
+    once, and for mail that goes to several places. After the last one: `finish`.
     Where `slack` is s > 0, `exchange` of tick k needs only the samples up to tick k - s: those of the last s ticks may
     still be on their way.
 
@@ -107,6 +108,7 @@ class Emulator:
         layout: of a message.
         seed: of the run.
         period_ns: T.
+        groups: of agents whose mail goes together, each in ascending order; all agents are one group by default.
     """
 
     def __init__(  # noqa: PLR0917
@@ -117,6 +119,7 @@ class Emulator:
         layout: MessageLayout,
         seed: int,
         period_ns: int,
+        groups: Sequence[Sequence[int]] | None = None,
     ) -> None:
         # Edges are renumbered by (receiver, sender), so that their number is their place in the total order.
         order = np.lexsort((links.sender, links.receiver))
@@ -124,6 +127,8 @@ class Emulator:
         names = [link_channel[i] for i in order.tolist()]
         self._n_agents = len(links.agents)
         self._period_ns = period_ns
+        self._groups = [len(group) for group in groups] if groups is not None else [self._n_agents]
+        self._row, self._base, self._place = self._pigeonholes(groups)
         self._channels: list[tuple[Ints, Channel]] = []
         slack = []
         profiles, which = np.unique(np.array(names, np.str_), return_inverse=True)
@@ -166,21 +171,45 @@ class Emulator:
             raise EmulatorError(f"samples of tick {tick} came out of turn: {self._expects(self._samples.next)}")
         self._samples.append(values)
 
+    @property
+    def published(self) -> int:
+        """Ticks whose samples are in."""
+        return self._samples.next
+
     def exchange(self, tick: int) -> Exchange:
-        """The deliveries due in [kT, (k+1)T) and the fates that become known in it, k being `tick`.
+        """The deliveries due in [kT, (k+1)T) and the fates that become known in it, k being `tick`; of one group.
+
+        Raises:
+            EmulatorError: not the tick's turn, or samples that it needs are missing.
+        """
+        stretch = self.exchange_several(tick, tick + 1)
+        return Exchange(tick, stretch.mail[0], stretch.fates)
+
+    def exchange_several(self, tick: int, stop: int) -> Stretch:
+        """The same for the ticks from `tick` to before `stop`, or fewer of them: at least one.
 
         Raises:
             EmulatorError: not the tick's turn, or samples that it needs are missing.
         """
         if tick != self._tick or self._finished:
             raise EmulatorError(f"tick {tick} was emulated out of turn: {self._expects(self._tick)}")
-        if self._samples.next <= tick - self.slack:
-            raise EmulatorError(f"tick {tick} needs the samples of tick {self._samples.next}, which are not in yet")
         if tick == self._block.stop:
             self._block = self._route(tick)
-        self._tick += 1
-        row = tick - self._block.first
-        return Exchange(tick, self._mail(row), self._fates(self._block.ends[row], self._block.ends[row + 1]))
+        block = self._block
+        stop = min(stop, block.stop)
+        if self._samples.next < stop - self.slack:
+            missing = self._samples.next
+            raise EmulatorError(
+                f"tick {missing + self.slack} needs the samples of tick {missing}, which are not in yet"
+            )
+        self._tick = stop
+        begin, end = tick - block.first, stop - block.first
+        mail = [
+            self._mail(ends[begin * n : end * n + 1]) for ends, n in zip(block.mail_ends, self._groups, strict=True)
+        ]
+        ends = block.ends[begin : end + 1]
+        counts = [after - before for before, after in pairwise(ends)]
+        return Stretch(tick, mail, self._fates(ends[0], ends[-1]), counts)
 
     def finish(self) -> Fates:
         """The messages that are in flight when the run ends. Nothing can be emulated afterwards."""
@@ -250,18 +279,29 @@ class Emulator:
         self._freshest[link[fresh]] = stamp[fresh]  # stamps that are fresh increase, and the last assignment holds
         return fate
 
-    def _sort_mail(self, arrivals: Ints, first: int, stop: int) -> tuple[Ints, Ints]:
-        """Arrivals by (tick, receiver), keeping the total order within, and where each agent's begin."""
-        box = (arrivals[_DUE] - first) * self._n_agents + self._receiver[arrivals[_LINK]]
-        order = np.argsort(_sort_key(box), kind="stable")
-        begins = np.searchsorted(box[order], np.arange((stop - first) * self._n_agents + 1))
-        rows = np.arange(stop - first)[:, None] * self._n_agents + np.arange(self._n_agents + 1)
-        return np.take(arrivals, order, axis=1), begins[rows]
+    def _pigeonholes(self, groups: Sequence[Sequence[int]] | None) -> tuple[Ints, Ints, Ints]:
+        """Of every agent: how many there are in its group, and in the groups before; its place in its own."""
+        agents = np.arange(self._n_agents)
+        if groups is None:
+            return np.full_like(agents, self._n_agents), np.zeros_like(agents), agents
+        row, base, place = np.empty_like(agents), np.empty_like(agents), np.empty_like(agents)
+        for group, before in zip(groups, accumulate(self._groups, initial=0), strict=False):
+            members = np.asarray(group, np.intp)
+            row[members], base[members], place[members] = len(members), before, np.arange(len(members))
+        return row, base, place
 
-    # --- answers: one tick of the block ------------------------------------------------------------------------------
-    def _mail(self, row: int) -> Mail:
-        block, ends = self._block, self._block.mail_ends[row]
-        due = slice(ends[0], ends[-1])
+    def _sort_mail(self, arrivals: Ints, first: int, stop: int) -> tuple[Ints, list[Ints]]:
+        """Arrivals by (group, tick, receiver), keeping the total order within, and where each agent's begin."""
+        ticks, receiver = stop - first, self._receiver[arrivals[_LINK]]
+        box = self._base[receiver] * ticks + (arrivals[_DUE] - first) * self._row[receiver] + self._place[receiver]
+        order = np.argsort(_sort_key(box), kind="stable")
+        begins = np.searchsorted(box[order], np.arange(ticks * self._n_agents + 1))
+        bounds = accumulate((ticks * n for n in self._groups), initial=0)
+        return np.take(arrivals, order, axis=1), [begins[i : j + 1] for i, j in pairwise(bounds)]
+
+    # --- answers: ticks of the block ---------------------------------------------------------------------------------
+    def _mail(self, ends: Ints) -> Mail:
+        block, due = self._block, slice(ends[0], ends[-1])
         stamp = block.mail[_STAMP, due]
         values = self._samples.of(stamp, block.sender[due])
         values.flags.writeable = False

@@ -121,6 +121,8 @@ class Mail:
     """What reaches a block of agents during one tick: the `Deliveries` of each, one after the other.
 
     Iterating gives them agent by agent, which costs an object per agent; native agents take the arrays as they are.
+    The mail of several ticks that follow each other is that of each in turn, as if the block had so many times the
+    agents.
 
     Attributes:
         ends: (n_agents + 1,) where each agent's deliveries begin, and the end.
@@ -168,3 +170,25 @@ class Exchange:
     tick: int
     mail: Mail
     fates: Fates
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """The emulator's answers to ticks that follow each other, for several groups of agents.
+
+    Attributes:
+        first: the first of the ticks.
+        mail: of each group, tick by tick.
+        fates: of all ticks, one after the other.
+        fate_counts: of each tick, how many those are.
+    """
+
+    first: int
+    mail: Sequence[Mail]
+    fates: Fates
+    fate_counts: Sequence[int]
+
+    @property
+    def n_ticks(self) -> int:
+        """How many ticks."""
+        return len(self.fate_counts)

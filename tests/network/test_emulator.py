@@ -273,3 +273,36 @@ def test_seeds_differ() -> None:
     links = dense_links(3, 1)
     one, other = (play(emulator_of(links, MODELS["paper"], seed), 3, 20) for seed in (1, 2))
     assert rows(one) != rows(other)
+
+
+@settings(deadline=None, max_examples=30)
+@given(networks(), st.data())
+@example((dense_links(5, 4), ["erratic", "paper", "radio", "slow"] * 5), None)
+def test_several_ticks_and_groups_at_once_are_those_one_by_one(
+    network: tuple[Links, list[str]], data: st.DataObject | None
+) -> None:
+    links, profiles = network
+    n_agents, ticks = len(links.agents), 150
+    owner = [data.draw(st.integers(0, 2)) if data else i % 3 for i in range(n_agents)]
+    groups = [[agent for agent in range(n_agents) if owner[agent] == group] for group in range(3)]
+    prompt = Emulator(links, MODELS, profiles, LAYOUT, 1, T)
+    several = Emulator(links, MODELS, profiles, LAYOUT, 1, T, groups)
+    tick = 0
+    while tick < ticks:
+        stop = tick + (data.draw(st.integers(1, 9)) if data else 4)
+        for published in range(several.published, stop):
+            several.publish(published, _sample(published, n_agents))
+        stretch = several.exchange_several(tick, stop)
+        assert 1 <= stretch.n_ticks <= stop - tick
+        fates = rows(stretch.fates)
+        for row, count in enumerate(stretch.fate_counts):
+            expected = prompt.emulate(tick + row, _sample(tick + row, n_agents))
+            assert fates[:count] == rows(expected.fates)
+            fates = fates[count:]
+            for group, mail in zip(groups, stretch.mail, strict=True):
+                of_tick = mail.of(range(row * len(group), (row + 1) * len(group)))
+                for agent, got in zip(group, of_tick, strict=True):
+                    assert _delivered(got) == _delivered(expected.mail[agent])
+                    assert (got.values == expected.mail[agent].values).all()
+        assert not fates
+        tick += stretch.n_ticks
