@@ -189,9 +189,13 @@ class Results:
             fate=indices(table.column("fate"), fates),
         )
 
+    def channel(self, link: int) -> str:
+        """Name of the channel of an edge."""
+        return str(self.manifest["links"]["channel"][link])
+
     def age_bound(self, link: int) -> float | None:
         """The largest age of information, in seconds and read at ticks, that the channel of an edge can produce."""
-        channel = self.manifest["channels"][self.manifest["links"]["channel"][link]]
+        channel = self.manifest["channels"][self.channel(link)]
         return None if channel["age_bound_ns"] is None else to_seconds(channel["age_bound_ns"])
 
     # --- files ------------------------------------------------------------------------------------------------------

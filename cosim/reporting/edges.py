@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
 
-from cosim.results import Results
 from cosim.theory import mu, published_bound
 from network.connectivity import Connectivity, connectivity, window_of
 from network.freshness import (
@@ -23,7 +23,7 @@ from network.freshness import (
     intervals_above,
     tolerance_front,
 )
-from network.messages import Fate, Fates, Ints
+from network.messages import Fate, Fates, Ints, Links
 from network.traffic import Traffic, traffic
 
 MAX_FATES = 5_000_000
@@ -34,6 +34,47 @@ FRONT_LIMIT = 5_000_000
 
 CONNECTIVITY_LIMIT = 10_000_000_000
 """Agents³ times ticks up to which joint rootedness is evaluated: a few seconds' work."""
+
+
+class Logged(Protocol):
+    """Where deliveries are logged: the `Results` of a run, or a channel that was played alone."""
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """Names."""
+
+    @property
+    def period_ns(self) -> int:
+        """T."""
+
+    @property
+    def n_ticks(self) -> int:
+        """Recorded ticks, tick 0 among them: one more than those at which messages left."""
+
+    @property
+    def links(self) -> Links:
+        """The edges."""
+
+    @property
+    def analysis(self) -> Mapping[str, Any]:
+        """Roles, gains and leaders; None where not given."""
+
+    @property
+    def n_fates(self) -> int:
+        """How many fates there are."""
+
+    @property
+    def fates(self) -> Fates:
+        """All of them."""
+
+    def first_fates(self, limit: int) -> Fates:
+        """The first ones, about so many."""
+
+    def channel(self, link: int) -> str:
+        """Name of the channel of an edge."""
+
+    def age_bound(self, link: int) -> float | None:
+        """The largest age in seconds, read at ticks, that the channel of an edge can produce; None without bound."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +94,10 @@ class Edges:
     """Logs and measures of every edge, in the plan's order.
 
     Args:
-        results: of the run, of at least two ticks.
+        results: where they are logged, of at least two ticks.
     """
 
-    def __init__(self, results: Results) -> None:
+    def __init__(self, results: Logged) -> None:
         self.results = results
 
     def __len__(self) -> int:
@@ -72,6 +113,14 @@ class Edges:
         chosen = list(chosen)
         more = f" and {len(chosen) - limit} more" if len(chosen) > limit else ""
         return ", ".join(self.name(link) for link in chosen[:limit]) + more
+
+    @cached_property
+    def by_channel(self) -> dict[str, list[int]]:
+        """The edges of each channel, in the order in which the channels first occur."""
+        found: dict[str, list[int]] = {}
+        for link in range(len(self)):
+            found.setdefault(self.results.channel(link), []).append(link)
+        return found
 
     @cached_property
     def span(self) -> Span:

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.reporting.edges import Edges
+from cosim.reporting.edges import Edges, Logged
 from cosim.reporting.words import NOTHING, Rows, number
-from cosim.results import Results
 from cosim.scenario.names import in_short
 from cosim.theory import mu, published_bound
 from network.connectivity import unreached
@@ -113,7 +112,7 @@ def _percent(share: float) -> str:
     return f"{100 * share:.3g} %" if math.isfinite(share) else NOTHING
 
 
-def _bound(results: Results) -> str:
+def _bound(results: Logged) -> str:
     bounds = [results.age_bound(link) for link in range(len(results.links))]
     known = [bound for bound in bounds if bound is not None]
     if len(known) == len(bounds):
@@ -185,7 +184,7 @@ def freshness_table(edges: Edges) -> Table:
             *(None if one is None else to_seconds(one) for one in (assumed, least)),
             *(counts.most_between, counts.most_stale),
         )
-        rows.append((edges.name(link), _channel(edges, link), *(number(one, "s", 3) for one in seconds)))
+        rows.append((edges.name(link), edges.results.channel(link), *(number(one, "s", 3) for one in seconds)))
     return Table(columns, rows, max(0, len(edges) - MOST_ROWS))
 
 
@@ -209,10 +208,6 @@ def _shown(edges: Edges) -> list[int]:
     return edges.worst_first[:MOST_ROWS]
 
 
-def _channel(edges: Edges, link: int) -> str:
-    return str(edges.results.manifest["links"]["channel"][link])
-
-
 # --- who broke what was assumed ---------------------------------------------------------------------------------------
 def breaks_table(edges: Edges) -> Table | None:
     """The edges that were older at ticks than the design assumed, and when; None where nothing was assumed."""
@@ -226,7 +221,7 @@ def breaks_table(edges: Edges) -> Table | None:
         rows.append(
             (
                 edges.name(link),
-                _channel(edges, link),
+                edges.results.channel(link),
                 f"{number(to_seconds(assumed.h_star_ns or 0), 's')}, {assumed.origin}",
                 number(edges.ages[link].tick_sup, "s"),
                 _percent(share),
@@ -287,7 +282,7 @@ def readings(edges: Edges) -> list[Reading]:
     return found
 
 
-def _reading(name: str, h_star: dict[int, float], bounds: dict[int, float], results: Results) -> Reading:
+def _reading(name: str, h_star: dict[int, float], bounds: dict[int, float], results: Logged) -> Reading:
     known = {i: bounds[i] - h_star[i] for i in bounds if math.isfinite(h_star[i])}
     largest = max(h_star[i] for i in bounds)
     unknown = f", cannot be evaluated for {len(bounds) - len(known)}" if len(known) < len(bounds) else ""

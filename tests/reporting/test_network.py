@@ -120,6 +120,6 @@ def test_the_map_of_ages_has_the_largest_of_each_bin(tmp_path: Path, monkeypatch
 
 def test_the_timeline_shows_the_worst_of_a_blackout(tmp_path: Path) -> None:
     edges = edges_of(tmp_path / "run", channel=Netem(delay="20 ms", schedule={"down": [["3 s", "6 s"]]}))
-    begin, end = timeline.window(edges, edges.worst_first[0])
+    begin, end = timeline.window(edges, edges.worst_first[0], timeline.TICKS)
     assert end - begin == pytest.approx(timeline.TICKS / 10)
     assert begin < 3.0 < 6.0 < end

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 from matplotlib.figure import Figure
 
+from cosim.reporting.edges import Edges
 from cosim.reporting.figures.age import draw_age
 from cosim.reporting.figures.channel import draw_channel
+from cosim.reporting.figures.delays import draw_delays
 from cosim.reporting.figures.disagreement import draw_disagreement
+from cosim.reporting.figures.front import draw_front
 from cosim.reporting.figures.graph import draw_graph
 from cosim.reporting.figures.heat import draw_heat
 from cosim.reporting.figures.lateness import draw_lateness
+from cosim.reporting.figures.losses import draw_losses
 from cosim.reporting.figures.scene import NotDrawn, Scene
 from cosim.reporting.figures.signals import (
     parameter_estimates,
@@ -23,40 +28,56 @@ from cosim.reporting.figures.signals import (
 from cosim.reporting.figures.timeline import draw_timeline
 from cosim.results import Results
 
+Subject = TypeVar("Subject")
+
 
 @dataclass(frozen=True)
-class Entry:
-    """A figure that a report may have.
+class Entry(Generic[Subject]):
+    """A figure that a page may have.
 
     Attributes:
         name: of its files.
-        title: in the report.
+        title: on the page.
         draw: the figure and its caption; raises `NotDrawn` where it does not apply.
     """
 
     name: str
     title: str
-    draw: Callable[[Scene], tuple[Figure, str]]
+    draw: Callable[[Subject], tuple[Figure, str]]
 
 
-FIGURES = (
+def _of_a_run(entry: Entry[Edges]) -> Entry[Scene]:
+    return Entry(entry.name, entry.title, lambda scene: entry.draw(scene.edges))
+
+
+_AGE = Entry("age", "Age of information", draw_age)
+_HEAT = Entry("heat", "Age of information over time", draw_heat)
+_TIMELINE = Entry("timeline", "Deliveries", draw_timeline)
+_NETWORK = (
+    Entry("delays", "One-way delay", draw_delays),
+    Entry("losses", "Losses in a row", draw_losses),
+    Entry("front", "Assumption 1", draw_front),
+)
+
+CHANNEL = (_TIMELINE, _AGE, *_NETWORK)
+"""Of a channel that is played alone."""
+
+FIGURES: tuple[Entry[Scene], ...] = (
     Entry("graph", "Interconnection graph", draw_graph),
     Entry("channel", "Input and output of a communication channel", draw_channel),
     Entry("positions", "Relative positions", relative_positions),
     Entry("velocities", "Relative velocities", relative_velocities),
     Entry("estimates", "Velocity estimates", velocity_estimates),
     Entry("disagreement", "Disagreement", draw_disagreement),
-    Entry("age", "Age of information", draw_age),
-    Entry("heat", "Age of information over time", draw_heat),
-    Entry("timeline", "Deliveries", draw_timeline),
+    *map(_of_a_run, (_AGE, _HEAT, _TIMELINE, *_NETWORK)),
     Entry("parameters", "Parameter estimates", parameter_estimates),
 )
 PACED = (Entry("lateness", "Lateness against the wall clock", draw_lateness),)
 
 
-def figures_of(results: Results) -> tuple[Entry, ...]:
+def figures_of(results: Results) -> tuple[Entry[Scene], ...]:
     """The figures that a run of its kind may have."""
     return FIGURES if results.realtime is None else FIGURES + PACED
 
 
-__all__ = ["FIGURES", "PACED", "Entry", "NotDrawn", "Scene", "figures_of"]
+__all__ = ["CHANNEL", "FIGURES", "PACED", "Entry", "NotDrawn", "Scene", "figures_of"]

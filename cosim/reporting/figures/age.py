@@ -11,7 +11,8 @@ from matplotlib.lines import Line2D
 
 from cosim.reporting.edges import Edges
 from cosim.reporting.figures import style
-from cosim.reporting.figures.scene import NotDrawn, Scene
+from cosim.reporting.figures.scene import need_messages
+from cosim.reporting.figures.timeline import window
 from network.freshness import EdgeLog, Span
 from network.messages import Fate, Floats
 from network.units import to_seconds
@@ -26,30 +27,34 @@ JOINED_EDGES = 100
 """Up to as many edges have a line from mean to largest age."""
 
 
-def draw_age(scene: Scene) -> tuple[Figure, str]:
-    """The age on the first edge over time; below, a summary of all edges if there are several."""
-    results, edges = scene.results, scene.edges
-    if len(edges) == 0:
-        raise NotDrawn("Nobody hears anybody: there is no edge with an age of information.")
-    if results.n_ticks < 2:
-        raise NotDrawn("The run ended before its second tick.")
+def draw_age(edges: Edges) -> tuple[Figure, str]:
+    """The age on one edge over time; below, a summary of all edges if there are several.
+
+    The edge is the one that was too old for longest, around its largest age; if there is none, the first.
+    """
+    results = edges.results
+    need_messages(edges)
     bounded = any(results.age_bound(link) is not None for link in range(len(edges)))
-    text = f"On edge {edges.name(0)}; it drops at every arrival of a fresher sample."
+    worst = edges.worst_first[0]
+    link = worst if len(edges.breaks[worst]) else 0
+    text = f"On edge {edges.name(link)}; it drops at every arrival of a fresher sample."
     if len(edges) == 1:
         figure, (ax,) = style.panels(1, 1.3, lines=0)
-        _sawtooth(ax, edges)
+        _sawtooth(ax, edges, link)
     else:
         labels = ["mean", "mean peak", "largest", *(["bound at ticks"] if bounded else [])]
         figure, (upper, lower) = style.panels(2, 1.05, lines=style.legend_lines(labels), gap=0.5, share=False)
-        _sawtooth(upper, edges)
+        _sawtooth(upper, edges, link)
         style.legend(figure, _summary(lower, edges), labels)
         figure.align_ylabels([upper, lower])
         order = "" if _named(edges) else ", the edges in the order of their mean age"
         text = f"Top: {text[0].lower()}{text[1:]} Bottom: over the whole run, per edge{order}."
-    if bounded:
-        text += (
-            " Dashed: the largest age that the channel lets a receiver read at a tick; between ticks it can be older."
-        )
+    if edges.assumed[link].h_star_ns is not None or bounded:
+        of = "the largest age that the channel lets a receiver read at a tick"
+        if not bounded or results.age_bound(link) is None:
+            of = f"the largest age at ticks that was assumed ({edges.assumed[link].origin}"
+            of += "; below, the channels' bounds)" if bounded and len(edges) > 1 else ")"
+        text += f" Dashed: {of}; between ticks it can be older."
     return figure, text
 
 
@@ -69,14 +74,17 @@ def _named(edges: Edges) -> bool:
     return len(edges) <= NAMED_EDGES and max(len(edges.name(link)) for link in range(len(edges))) <= 10
 
 
-def _sawtooth(axes: Axes, edges: Edges) -> None:
-    until_ns = min(edges.span.end_ns, round(WINDOW_S * 1e9))
-    time, values = sawtooth(edges.logs[0], edges.span, until_ns)
-    axes.plot(time, values, color=style.ACCENT, linewidth=0.7)
-    bound = edges.results.age_bound(0)
-    if bound is not None:
-        axes.axhline(bound, color=style.INK, linewidth=0.8, linestyle=(0, (4, 2)))
-    style.time_axis(axes, 0.0, to_seconds(until_ns))
+def _sawtooth(axes: Axes, edges: Edges, link: int) -> None:
+    ticks = max(2, round(WINDOW_S * 1e9) // edges.span.period_ns)
+    begin, end = window(edges, link, ticks) if len(edges.breaks[link]) else (0.0, WINDOW_S)
+    until_ns = min(edges.span.end_ns, round(end * 1e9))
+    time, values = sawtooth(edges.logs[link], edges.span, until_ns)
+    shown = max(0, int(np.searchsorted(time, begin)) - 1)
+    axes.plot(time[shown:], values[shown:], color=style.ACCENT, linewidth=0.7)
+    assumed = edges.assumed[link].h_star_ns
+    if assumed is not None:
+        axes.axhline(assumed / 1e9, color=style.INK, linewidth=0.8, linestyle=(0, (4, 2)))
+    style.time_axis(axes, begin, to_seconds(until_ns))
     axes.set_ylim(bottom=0)
     axes.set_ylabel("age (s)")
 

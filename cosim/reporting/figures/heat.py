@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 
 from cosim.reporting.edges import Edges
 from cosim.reporting.figures import style
-from cosim.reporting.figures.scene import NotDrawn, Scene
+from cosim.reporting.figures.scene import need_messages
 from network.freshness import ages_at_ticks
 from network.messages import Floats
 
@@ -27,13 +27,10 @@ MAX_BINS = 300
 _COLOURS = LinearSegmentedColormap.from_list("age", ["#F7FBFF", "#A2C8E1", "#3F83BC", "#08306B"])
 
 
-def draw_heat(scene: Scene) -> tuple[Figure, str]:
+def draw_heat(edges: Edges) -> tuple[Figure, str]:
     """Edges, grouped by receiver, against time; the colour is the age read at ticks."""
-    results, edges = scene.results, scene.edges
-    if len(edges) == 0:
-        raise NotDrawn("Nobody hears anybody: there is no edge with an age of information.")
-    if results.n_ticks < 2:
-        raise NotDrawn("The run ended before its second tick.")
+    results = edges.results
+    need_messages(edges)
     shown = sorted(edges.worst_first[:MAX_ROWS])  # the plan's order is by receiver
     values, width = binned(edges, shown)
     height = float(np.clip(0.085 * len(shown), 0.7, 4.2))

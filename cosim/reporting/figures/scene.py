@@ -23,6 +23,18 @@ class NotDrawn(Exception):  # noqa: N818 - not an error: most runs lack somethin
     """A figure does not apply to a run; the text is a sentence for the reader of the report."""
 
 
+def need_messages(edges: Edges) -> None:
+    """What every figure of a network needs.
+
+    Raises:
+        NotDrawn: there is no edge, or no tick at which a message could arrive.
+    """
+    if len(edges) == 0:
+        raise NotDrawn("Nobody hears anybody: there is no channel to show.")
+    if edges.results.n_ticks < 2:
+        raise NotDrawn("The run ended before its second tick.")
+
+
 @dataclass(frozen=True)
 class Signal:
     """One vector quantity of the agents that record it.

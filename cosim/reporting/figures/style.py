@@ -180,6 +180,11 @@ def agent_colours(n: int) -> list[Any]:
     return [mpl.colormaps["viridis"](x) for x in np.linspace(0.0, 0.92, n)]
 
 
+def channel_colours(n: int) -> list[Any]:
+    """A colour per channel."""
+    return [ACCENT] if n == 1 else agent_colours(n)
+
+
 def spread(axes: Axes, time: Floats, values: Floats, colours: Sequence[Any], *, steps: bool = False) -> list[Any]:
     """One quantity of several agents over time: lines, or for many agents bands of quantiles.
 

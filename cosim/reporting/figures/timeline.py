@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 
 from cosim.reporting.edges import Edges
 from cosim.reporting.figures import style
-from cosim.reporting.figures.scene import NotDrawn, Scene
+from cosim.reporting.figures.scene import need_messages
 from network.freshness import ages_at_ticks
 from network.messages import Fate
 
@@ -20,17 +20,14 @@ MAX_LANES = 5
 """Edges that are shown: the worst one, then others of its receiver."""
 
 
-def draw_timeline(scene: Scene) -> tuple[Figure, str]:
+def draw_timeline(edges: Edges) -> tuple[Figure, str]:
     """A lane per edge: above when messages left, below when they arrived."""
-    results, edges = scene.results, scene.edges
-    if len(edges) == 0:
-        raise NotDrawn("Nobody hears anybody: there are no deliveries to show.")
-    if results.n_ticks < 2:
-        raise NotDrawn("The run ended before its second tick.")
+    results = edges.results
+    need_messages(edges)
     worst = edges.worst_first[0]
     same = results.links.receiver == results.links.receiver[worst]
     lanes = [worst, *(link for link in edges.worst_first if same[link] and link != worst)][:MAX_LANES]
-    begin, end = window(edges, worst)
+    begin, end = window(edges, worst, TICKS)
     labels = ["delivered", "superseded", "lost"]
     figure, (ax,) = style.panels(1, 0.2 + 0.42 * len(lanes), lines=1)
     for lane, link in enumerate(lanes):
@@ -56,13 +53,13 @@ def draw_timeline(scene: Scene) -> tuple[Figure, str]:
     return figure, text
 
 
-def window(edges: Edges, link: int) -> tuple[float, float]:
-    """From a little before the largest age at ticks builds up, in seconds: `TICKS` ticks, or all there are."""
+def window(edges: Edges, link: int, ticks: int) -> tuple[float, float]:
+    """From a little before the largest age at ticks builds up, in seconds: so many ticks, or all there are."""
     ages = ages_at_ticks(edges.logs[link], edges.span)
     period = edges.span.period_ns
     peak = int(np.argmax(ages))
     built = peak - int(ages[peak]) // period  # the tick of the sample that was last known
-    length = min(TICKS, edges.span.n_ticks)
+    length = min(ticks, edges.span.n_ticks)
     room = length - (peak - built)
     wanted = built - room // 3 if room > 6 else peak - length * 5 // 6
     first = int(np.clip(wanted, 0, edges.span.n_ticks - length))
