@@ -6,7 +6,8 @@ the same floating-point operations in the same order and so gives the same bits.
 Between two events (ticks, arrivals, time events of a component) the interval is cut into equal micro steps no longer
 than the coupling's step. Over a micro step from t to t + h:
 
-- `joint`: all states are integrated together, Runge-Kutta 4 or Dormand-Prince 5(4).
+- `joint`: all states are integrated together, Runge-Kutta 4 or Dormand-Prince 5(4). A step in which an event indicator
+  changes its sign is made again up to there (`cosim.crossings`).
 - `jacobi`: every component steps with the others' outputs at t held.
 - `gauss-seidel`: in the file's order; a component sees the newest outputs, held.
 - `midpoint`: in the file's order. Outputs of components that step later are extrapolated to the middle of the step from
@@ -20,11 +21,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.components.component import Component, Floats
+from cosim.crossings import STATE_EVENTS_PER_STEP, bracket, chattering, crossed, first_crossing
 from cosim.errors import ComponentError
 from cosim.mailbox import Updates
 from cosim.memory import LoopState
@@ -56,6 +59,10 @@ class PythonLoop:
         }.get(coupling.method)
         ends = np.cumsum([0, *(component.n_states for component in components)])
         self._states = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+        self._n_indicators = sum(component.n_indicators for component in components)
+        self._indicators = np.empty(0)
+        self._beyond = np.empty(0)
+        self._chattering = 0
 
     # --- life cycle -------------------------------------------------------------------------------------------------
     def initialise(self, start_ns: int, stop_ns: int) -> None:
@@ -154,6 +161,7 @@ class PythonLoop:
             if start_ns < end_ns:
                 self._step_components(self._step, start_ns, end_ns)
             return
+        events, since_ns = 0, start_ns
         while start_ns < end_ns:
             stop_ns = end_ns
             for event in self._state.next_event.tolist():
@@ -161,15 +169,28 @@ class PythonLoop:
                     event_ns = math.floor(event * NANOSECONDS_PER_SECOND + 0.5)
                     if start_ns < event_ns < stop_ns:
                         stop_ns = event_ns
-            if not any(component.n_states for component in self._components):
-                self._accept(to_seconds(stop_ns), np.empty(0))
-            elif self._coupling.integrator is Integrator.RK4:
-                self._runge_kutta(start_ns, stop_ns)
-            else:
-                self._dormand_prince(start_ns, stop_ns)
-            if stop_ns < end_ns:
-                self._event(stop_ns, listen=False)
-            start_ns = stop_ns
+            reached_ns = self._integrate_states(start_ns, stop_ns)
+            if reached_ns < stop_ns:
+                if reached_ns - since_ns > self._coupling.step_ns:
+                    events, since_ns = 0, reached_ns
+                events += 1
+                if events > STATE_EVENTS_PER_STEP:
+                    raise self._chatters()
+            if reached_ns < end_ns:
+                self._event(reached_ns, listen=False)
+            start_ns = reached_ns
+
+    def _integrate_states(self, start_ns: int, stop_ns: int) -> int:
+        """From one event to the next one known; the time reached, which is earlier if there is a state event."""
+        n_states = sum(component.n_states for component in self._components)
+        if not (n_states or self._n_indicators):
+            self._accept(to_seconds(stop_ns), np.empty(0))
+            return stop_ns
+        if self._n_indicators:
+            self._indicators = self._get_indicators()
+        if self._coupling.integrator is Integrator.RK4 or not n_states:
+            return self._runge_kutta(start_ns, stop_ns)
+        return self._dormand_prince(start_ns, stop_ns)
 
     def _micro_steps(self, start_ns: int, end_ns: int) -> tuple[int, float]:
         """How many equal micro steps, and their length in seconds."""
@@ -177,22 +198,29 @@ class PythonLoop:
         return n, to_seconds(end_ns - start_ns) / n
 
     # --- joint ------------------------------------------------------------------------------------------------------
-    def _runge_kutta(self, start_ns: int, end_ns: int) -> None:
-        """The classical Runge-Kutta method of order 4."""
+    def _runge_kutta(self, start_ns: int, end_ns: int) -> int:
+        """The classical Runge-Kutta method of order 4; the time reached."""
         n, h = self._micro_steps(start_ns, end_ns)
         start, end = to_seconds(start_ns), to_seconds(end_ns)
-        half, sixth = 0.5 * h, h / 6.0
         x = self._get_states()
         for i in range(n):
-            t = start + i * h
-            k1 = self._derivatives(t, x)
-            k2 = self._derivatives(t + half, x + half * k1)
-            k3 = self._derivatives(t + half, x + half * k2)
-            k4 = self._derivatives(t + h, x + h * k3)
-            x = x + sixth * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-            x = self._accept(end if i + 1 == n else start + (i + 1) * h, x)
+            t, final = start + i * h, i + 1 == n
+            new, reached = self._runge_kutta_step(t, x, h), end if final else start + (i + 1) * h
+            if self._crosses(reached, new):
+                ends = bracket(t, reached, start_ns, end_ns, final=final)
+                return self._locate(ends, partial(self._runge_kutta_step, t, x), t)
+            x = self._accept(reached, new)
+        return end_ns
 
-    def _dormand_prince(self, start_ns: int, end_ns: int) -> None:
+    def _runge_kutta_step(self, t: float, x: Floats, h: float) -> Floats:
+        half, sixth = 0.5 * h, h / 6.0
+        k1 = self._derivatives(t, x)
+        k2 = self._derivatives(t + half, x + half * k1)
+        k3 = self._derivatives(t + half, x + half * k2)
+        k4 = self._derivatives(t + h, x + h * k3)
+        return x + sixth * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+
+    def _dormand_prince(self, start_ns: int, end_ns: int) -> int:
         """The embedded pair of Dormand and Prince (1980), local extrapolation, elementary step size control."""
         coupling = self._coupling
         start, end = to_seconds(start_ns), to_seconds(end_ns)
@@ -205,9 +233,7 @@ class PythonLoop:
             h = min(h, largest)
             final = t + h >= end - 1e-12 * largest
             length = end - t if final else h
-            for row, c in zip(_DP_A, _DP_C, strict=True):
-                k.append(self._derivatives(t + c * length, x + length * _combine(row, k)))
-            new = x + length * _combine(_DP_B, k)
+            new = self._dormand_prince_step(t, x, length, k)
             k.append(self._derivatives(t + length, new))
             error = length * _combine(_DP_E, k)
             scale = coupling.absolute_tolerance + coupling.relative_tolerance * np.maximum(np.abs(x), np.abs(new))
@@ -218,7 +244,12 @@ class PythonLoop:
                 self._check_states(new)
                 factor = 0.2
             if ratio <= 1.0:
-                t = end if final else t + length
+                reached = end if final else t + length
+                if self._crosses(reached, new):
+                    self._state.steps[1] = h
+                    ends = bracket(t, reached, start_ns, end_ns, final=final)
+                    return self._locate(ends, partial(self._dormand_prince_from, t, x, k[0]), t)
+                t = reached
                 x = self._accept(t, new)
                 k = [k[-1] if x is new else self._derivatives(t, x)]  # an event may have changed the states
             else:
@@ -233,16 +264,29 @@ class PythonLoop:
                     "loosen relative_tolerance or absolute_tolerance, or look for a discontinuity",
                 )
         self._state.steps[1] = h
+        return end_ns
+
+    def _dormand_prince_from(self, t: float, x: Floats, slope: Floats, length: float) -> Floats:
+        return self._dormand_prince_step(t, x, length, [slope])
+
+    def _dormand_prince_step(self, t: float, x: Floats, length: float, k: list[Floats]) -> Floats:
+        """The result of order 5; `k` has the first stage and takes the others but the last."""
+        for row, c in zip(_DP_A, _DP_C, strict=True):
+            k.append(self._derivatives(t + c * length, x + length * _combine(row, k)))
+        return x + length * _combine(_DP_B, k)
 
     def _derivatives(self, time: float, x: Floats) -> Floats:
         """Derivatives of all states, with outputs carried to inputs in between."""
+        self._place(time, x)
+        self._carry_out(self._wiring.propagate)
+        return np.concatenate([component.derivatives() for component in self._components])
+
+    def _place(self, time: float, x: Floats) -> None:
         self._state.time[0] = time
         for component, part in zip(self._components, self._states, strict=True):
             component.set_time(time)
             if component.n_states:
                 component.set_states(x[part])
-        self._carry_out(self._wiring.propagate)
-        return np.concatenate([component.derivatives() for component in self._components])
 
     def _get_states(self) -> Floats:
         return np.concatenate([component.get_states() for component in self._components])
@@ -251,25 +295,80 @@ class PythonLoop:
         """Make a step final. The states afterwards: an event may change them."""
         self._state.time[0] = time
         self._check_states(x)
-        wants_event = False
-        for component, part in zip(self._components, self._states, strict=True):
-            component.set_time(time)
-            if component.n_states:
-                component.set_states(x[part])
-        for component in self._components:
-            wants_event |= component.completed_step()
-        if not wants_event:
+        self._place(time, x)
+        if not self._complete():
             return x
         for component in self._components:
             component.enter_event_mode()
         self._iterate_events()
+        if self._n_indicators:
+            self._indicators = self._get_indicators()
         return self._get_states()
+
+    def _complete(self) -> bool:
+        """Tell all components that a step is final; whether one of them wants an event."""
+        wants_event = False
+        for component in self._components:
+            wants_event |= component.completed_step()
+        return wants_event
 
     def _check_states(self, x: Floats) -> None:
         for component, part in zip(self._components, self._states, strict=True):
             bad = np.flatnonzero(~np.isfinite(x[part]))
             if bad.size:
                 raise ComponentError(component.name, f"continuous state {bad[0] + 1} is not finite")
+
+    # --- state events -----------------------------------------------------------------------------------------------
+    def _crosses(self, time: float, x: Floats) -> bool:
+        """Whether an event indicator crosses zero in a step to these states; if not, they are the next step's first."""
+        if not self._n_indicators:
+            return False
+        self._check_states(x)
+        found = self._indicators_at(time, x)
+        if crossed(self._indicators, found).any():
+            self._beyond = found
+            return True
+        self._indicators = found
+        return False
+
+    def _indicators_at(self, time: float, x: Floats) -> Floats:
+        self._place(time, x)
+        self._carry_out(self._wiring.propagate)
+        return self._get_indicators()
+
+    def _get_indicators(self) -> Floats:
+        found = []
+        for component in self._components:
+            own = component.event_indicators() if component.n_indicators else np.empty(0)
+            bad = np.flatnonzero(np.isnan(own))
+            if bad.size:
+                raise ComponentError(component.name, f"event indicator {bad[0] + 1} is not a number")
+            found.append(own)
+        return np.concatenate(found)
+
+    def _locate(self, ends: tuple[int, int], step: Callable[[float], Floats], start: float) -> int:
+        """Bring all components to the state event of a step and make the step up to there final; when it is.
+
+        Args:
+            ends: whole nanoseconds around the step.
+            step: the states after a length of it.
+            start: of it, in seconds.
+        """
+
+        def indicators(time_ns: int) -> Floats:
+            time = to_seconds(time_ns)
+            return self._indicators_at(time, step(time - start))
+
+        before = self._indicators
+        event_ns = first_crossing(*ends, before, self._beyond, indicators)
+        changed = crossed(before, indicators(event_ns))
+        owners = np.repeat(np.arange(len(self._components)), [c.n_indicators for c in self._components])
+        self._chattering = owners[np.argmax(changed)]
+        self._complete()  # there will be an event in any case
+        return event_ns
+
+    def _chatters(self) -> ComponentError:
+        return ComponentError(self._components[self._chattering].name, chattering(self._coupling.step_ns))
 
     # --- Co-Simulation ----------------------------------------------------------------------------------------------
     def _step_components(self, step: Callable[[float, float], None], start_ns: int, end_ns: int) -> None:

@@ -162,6 +162,7 @@ class Component(ABC):
 
     # --- Model Exchange ---------------------------------------------------------------------------------------------
     n_states: int = 0
+    n_indicators: int = 0
 
     def set_time(self, time: float) -> None:
         raise NotImplementedError
@@ -173,6 +174,10 @@ class Component(ABC):
         raise NotImplementedError
 
     def derivatives(self) -> Floats:
+        raise NotImplementedError
+
+    def event_indicators(self) -> Floats:
+        """Shape (n_indicators,): a change of sign is a state event."""
         raise NotImplementedError
 
     def completed_step(self) -> bool:

@@ -131,7 +131,8 @@ def _kinds(members: Sequence[Member]) -> list[Kind]:
     known: dict[tuple[object, ...], Kind] = {}
     kinds = []
     for member in members:
-        key = (id(member.wiring), member.coupling, *(component.n_states for component in member.components))
+        sizes = ((component.n_states, component.n_indicators) for component in member.components)
+        key = (id(member.wiring), member.coupling, *sizes)
         if key not in known:
             known[key] = Kind(member.wiring, member.components, member.coupling)
         kinds.append(known[key])

@@ -68,6 +68,16 @@ static inline bool get_derivatives(Agent *agent, int index, double *derivatives)
     return check(agent, index, GET_DERIVATIVES, status);
 }
 
+static inline bool get_indicators(Agent *agent, int index, double *indicators) {
+    const Component *c = &agent->components[index];
+    Function f = c->functions[GET_INDICATORS];
+    size_t n = (size_t)c->n_indicators;
+    if (n == 0) return true;
+    int status = c->fmi == 3 ? (int)((fmi3GetEventIndicatorsTYPE *)f)(c->instance, indicators, n)
+                             : (int)((fmi2GetEventIndicatorsTYPE *)f)(c->instance, indicators, n);
+    return check(agent, index, GET_INDICATORS, status);
+}
+
 /* Sets `wants_event` if the component asks for Event Mode, and leaves it alone otherwise. */
 static inline bool completed_step(Agent *agent, int index, bool *wants_event) {
     const Component *c = &agent->components[index];

@@ -59,14 +59,80 @@ static bool states_are_finite(Agent *agent, const double *x) {
     return true;
 }
 
+static bool get_all_indicators(Agent *agent, double *indicators) {
+    for (int c = 0; c < agent->n_components; c++) {
+        const Component *component = &agent->components[c];
+        double *own = indicators + component->first_indicator;
+        if (!get_indicators(agent, c, own)) return false;
+        for (int32_t i = 0; i < component->n_indicators; i++)
+            if (isnan(own[i]))
+                return fail(agent, (Failure){.reason = INDICATOR_NAN, .component = c, .index = i});
+    }
+    return true;
+}
+
+static bool indicators_at(Agent *agent, double time, const double *x, double *indicators) {
+    *agent->time = time;
+    return place(agent, time, x) && carry_out(agent, agent->propagate, agent->signals) &&
+           get_all_indicators(agent, indicators);
+}
+
+/* Tell all components that a step is final. */
+static bool complete(Agent *agent, bool *event) {
+    for (int c = 0; c < agent->n_components; c++)
+        if (!completed_step(agent, c, event)) return false;
+    return true;
+}
+
 /* Make a step to `agent->states` final. A component may ask for an event, which may change the states. */
 static bool accept(Agent *agent, double time, bool *event) {
     *agent->time = time;
     *event = false;
     if (!states_are_finite(agent, agent->states) || !place(agent, time, agent->states)) return false;
-    for (int c = 0; c < agent->n_components; c++)
-        if (!completed_step(agent, c, event)) return false;
-    return !*event || (enter_event_mode(agent) && iterate_events(agent) && get_all_states(agent));
+    if (!complete(agent, event)) return false;
+    return !*event || (enter_event_mode(agent) && iterate_events(agent) &&
+                       get_all_indicators(agent, agent->indicators) && get_all_states(agent));
+}
+
+/* --- State events ----------------------------------------------------------------------------------------------- */
+
+/* A step from `agent->states` to `agent->new_states`. */
+typedef struct {
+    bool (*make)(Agent *agent, double t, double length);
+    double start;
+} Step;
+
+/* Whether an event indicator crosses zero in a step to `agent->new_states`; if not, they are the next step's first. */
+static bool crosses(Agent *agent, double time, bool *crossed) {
+    double *before = agent->indicators, *after = before + agent->n_indicators;
+    *crossed = false;
+    if (agent->n_indicators == 0) return true;
+    if (!states_are_finite(agent, agent->new_states) || !indicators_at(agent, time, agent->new_states, after))
+        return false;
+    *crossed = any_crossed(agent, before, after);
+    if (!*crossed) memcpy(before, after, (size_t)agent->n_indicators * sizeof(double));
+    return true;
+}
+
+static bool step_to(Agent *agent, const void *step, int64_t time_ns, double *indicators) {
+    const Step *s = step;
+    double time = to_seconds(time_ns);
+    return s->make(agent, s->start, time - s->start) && indicators_at(agent, time, agent->new_states, indicators);
+}
+
+/* Bring all components to the state event of a step and make the step up to there final. `component` has crossed. */
+static bool locate(Agent *agent, Bracket ends, Step step, int64_t *reached_ns, int32_t *component) {
+    double *before = agent->indicators, *after = before + agent->n_indicators;
+    bool event = false;
+    if (!first_crossing(agent, ends, step_to, &step, reached_ns) || !step_to(agent, &step, *reached_ns, after))
+        return false;
+    *component = 0;
+    for (int32_t c = agent->n_components - 1; c >= 0; c--)
+        for (int32_t i = 0; i < agent->components[c].n_indicators; i++) {
+            int32_t at = agent->components[c].first_indicator + i;
+            if (has_crossed(before[at], after[at])) *component = c;
+        }
+    return complete(agent, &event); /* there will be an event in any case */
 }
 
 /* --- Runge-Kutta 4 ---------------------------------------------------------------------------------------------- */
@@ -77,25 +143,35 @@ static double *advanced(const Agent *agent, double length, const double *slope) 
     return agent->new_states;
 }
 
-static bool runge_kutta(Agent *agent, int64_t start_ns, int64_t end_ns) {
+static bool runge_kutta_step(Agent *agent, double t, double h) {
+    double half = 0.5 * h, sixth = h / 6.0;
+    const double *x = agent->states;
+    double *k1 = stage(agent, 0), *k2 = stage(agent, 1), *k3 = stage(agent, 2), *k4 = stage(agent, 3);
+    if (!derivatives(agent, t, x, k1) || !derivatives(agent, t + half, advanced(agent, half, k1), k2) ||
+        !derivatives(agent, t + half, advanced(agent, half, k2), k3) ||
+        !derivatives(agent, t + h, advanced(agent, h, k3), k4))
+        return false;
+    for (int32_t j = 0; j < agent->n_states; j++)
+        agent->new_states[j] = x[j] + sixth * (k1[j] + 2.0 * k2[j] + 2.0 * k3[j] + k4[j]);
+    return true;
+}
+
+static bool runge_kutta(Agent *agent, int64_t start_ns, int64_t end_ns, int64_t *reached_ns, int32_t *component) {
     double h;
     int64_t n = micro_steps(agent, start_ns, end_ns, &h);
     double start = to_seconds(start_ns), end = to_seconds(end_ns);
-    double half = 0.5 * h, sixth = h / 6.0;
-    double *x = agent->states;
-    double *k1 = stage(agent, 0), *k2 = stage(agent, 1), *k3 = stage(agent, 2), *k4 = stage(agent, 3);
-    bool event;
+    bool event, crossed;
 
     if (!get_all_states(agent)) return false;
     for (int64_t i = 0; i < n; i++) {
-        double t = start + (double)i * h;
-        if (!derivatives(agent, t, x, k1) || !derivatives(agent, t + half, advanced(agent, half, k1), k2) ||
-            !derivatives(agent, t + half, advanced(agent, half, k2), k3) ||
-            !derivatives(agent, t + h, advanced(agent, h, k3), k4))
-            return false;
-        for (int32_t j = 0; j < agent->n_states; j++)
-            x[j] = x[j] + sixth * (k1[j] + 2.0 * k2[j] + 2.0 * k3[j] + k4[j]);
-        if (!accept(agent, i + 1 == n ? end : start + (double)(i + 1) * h, &event)) return false;
+        bool final = i + 1 == n;
+        double t = start + (double)i * h, reached = final ? end : start + (double)(i + 1) * h;
+        if (!runge_kutta_step(agent, t, h) || !crosses(agent, reached, &crossed)) return false;
+        if (crossed)
+            return locate(agent, bracket(t, reached, start_ns, end_ns, final), (Step){runge_kutta_step, t}, reached_ns,
+                          component);
+        copy_states(agent, agent->states, agent->new_states);
+        if (!accept(agent, reached, &event)) return false;
     }
     return true;
 }
@@ -116,14 +192,14 @@ static double *combined(const Agent *agent, double length, const double *weights
     return agent->new_states;
 }
 
-/* All stages of a step but the first; the result is in `new_states`. */
+/* The result is in `new_states`; the first stage is there, the last is left out. */
 static bool dormand_prince_step(Agent *agent, double t, double length) {
     for (int j = 0; j < 5; j++) {
         const double *x = combined(agent, length, DP_WEIGHTS[j], j + 1);
         if (!derivatives(agent, t + DP_NODES[j] * length, x, stage(agent, j + 1))) return false;
     }
-    const double *result = combined(agent, length, DP_RESULT, 6);
-    return derivatives(agent, t + length, result, stage(agent, 6));
+    combined(agent, length, DP_RESULT, 6);
+    return true;
 }
 
 /* The largest error as a multiple of what is tolerated, NaN if any is; `worst` is the state that has it. */
@@ -155,7 +231,7 @@ static double step_factor(double ratio) {
     return fmin(5.0, fmax(0.2, factor));
 }
 
-static bool dormand_prince(Agent *agent, int64_t start_ns, int64_t end_ns) {
+static bool dormand_prince(Agent *agent, int64_t start_ns, int64_t end_ns, int64_t *reached_ns, int32_t *component) {
     double start = to_seconds(start_ns), end = to_seconds(end_ns), largest = to_seconds(agent->step_ns);
     double t = start;
     double h = agent->steps[1] != 0.0 ? agent->steps[1] : largest;
@@ -165,14 +241,23 @@ static bool dormand_prince(Agent *agent, int64_t start_ns, int64_t end_ns) {
         if (h > largest) h = largest;
         bool final = t + h >= end - 1e-12 * largest;
         double length = final ? end - t : h;
-        if (!dormand_prince_step(agent, t, length)) return false;
+        if (!dormand_prince_step(agent, t, length) ||
+            !derivatives(agent, t + length, agent->new_states, stage(agent, 6)))
+            return false;
         int32_t worst;
         double ratio = error_ratio(agent, length, &worst);
         if (!isfinite(ratio) && !states_are_finite(agent, agent->new_states)) return false;
         bool accepted = ratio <= 1.0;
         if (accepted) {
-            bool event;
-            t = final ? end : t + length;
+            bool event, crossed;
+            double reached = final ? end : t + length;
+            if (!crosses(agent, reached, &crossed)) return false;
+            if (crossed) {
+                agent->steps[1] = h;
+                return locate(agent, bracket(t, reached, start_ns, end_ns, final), (Step){dormand_prince_step, t},
+                              reached_ns, component);
+            }
+            t = reached;
             copy_states(agent, agent->states, agent->new_states);
             if (!accept(agent, t, &event)) return false;
             if (!event)
@@ -189,10 +274,13 @@ static bool dormand_prince(Agent *agent, int64_t start_ns, int64_t end_ns) {
     return true;
 }
 
-bool integrate_states(Agent *agent, int64_t start_ns, int64_t end_ns) {
-    if (agent->n_states == 0) { /* nothing to integrate */
+bool integrate_states(Agent *agent, int64_t start_ns, int64_t end_ns, int64_t *reached_ns, int32_t *component) {
+    *reached_ns = end_ns;
+    if (agent->n_states == 0 && agent->n_indicators == 0) { /* nothing to integrate */
         bool event;
         return accept(agent, to_seconds(end_ns), &event);
     }
-    return agent->integrator == RK4 ? runge_kutta(agent, start_ns, end_ns) : dormand_prince(agent, start_ns, end_ns);
+    if (!get_all_indicators(agent, agent->indicators)) return false;
+    return (agent->integrator == RK4 || agent->n_states == 0 ? runge_kutta : dormand_prince)(agent, start_ns, end_ns,
+                                                                                             reached_ns, component);
 }

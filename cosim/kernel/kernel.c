@@ -38,16 +38,24 @@ static int64_t next_stop(const Agent *agent, int64_t start_ns, int64_t end_ns) {
 }
 
 static bool integrate_joint(Agent *agent, int64_t start_ns, int64_t end_ns) {
+    int events = 0;
+    int64_t since_ns = start_ns;
     while (start_ns < end_ns) {
-        int64_t stop_ns = next_stop(agent, start_ns, end_ns);
-        bool ok = integrate_states(agent, start_ns, stop_ns);
-        if (!ok || (stop_ns < end_ns && !handle_event(agent, stop_ns, false))) return false;
-        start_ns = stop_ns;
+        int64_t stop_ns = next_stop(agent, start_ns, end_ns), reached_ns;
+        int32_t component = 0;
+        if (!integrate_states(agent, start_ns, stop_ns, &reached_ns, &component)) return false;
+        if (reached_ns < stop_ns) {
+            if (reached_ns - since_ns > agent->step_ns) events = 0, since_ns = reached_ns;
+            if (++events > STATE_EVENTS_PER_STEP)
+                return fail(agent, (Failure){.reason = CHATTERING, .component = component});
+        }
+        if (reached_ns < end_ns && !handle_event(agent, reached_ns, false)) return false;
+        start_ns = reached_ns;
     }
     return true;
 }
 
-/* From one event to the next, breaking at time events of the components. */
+/* From one event to the next, breaking at time events and state events of the components. */
 static bool integrate(Agent *agent, int64_t start_ns, int64_t end_ns) {
     if (start_ns >= end_ns) return true;
     return agent->method == JOINT ? integrate_joint(agent, start_ns, end_ns)

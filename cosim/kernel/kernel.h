@@ -15,6 +15,7 @@
 #define NANOSECONDS_PER_SECOND 1e9
 #define EVENT_ITERATIONS 100          /* as in cosim/coupling.py */
 #define DISCRETE_STATE_ITERATIONS 100 /* as in cosim/components/fmu/component.py */
+#define STATE_EVENTS_PER_STEP 100     /* as in cosim/crossings.py */
 #define STAGES 7                      /* of the Dormand-Prince pair; Runge-Kutta 4 needs four */
 
 typedef enum { RK4, DORMAND_PRINCE } Integrator;
@@ -43,6 +44,7 @@ typedef enum {
     SET_STATES,
     GET_STATES,
     GET_DERIVATIVES,
+    GET_INDICATORS,
     COMPLETED_STEP,
     ENTER_EVENT_MODE,
     UPDATE_DISCRETE_STATES,
@@ -60,6 +62,8 @@ typedef struct {
     int32_t n_states;
     int32_t first_state; /* where its states lie among those of the agent */
     int32_t reads_earlier; /* an input is connected to a component earlier in the file's order */
+    int32_t n_indicators;
+    int32_t first_indicator; /* where its event indicators lie among those of the agent */
     void *instance;
     const Function *functions; /* N_CALLS */
 } Component;
@@ -92,7 +96,9 @@ typedef enum {
     STATE_NOT_FINITE,
     EVENTS_UNSETTLED,
     DISCRETE_STATES_UNSETTLED,
-    STEP_TOO_SMALL
+    STEP_TOO_SMALL,
+    INDICATOR_NAN,
+    CHATTERING
 } Reason;
 
 typedef struct {
@@ -101,7 +107,7 @@ typedef struct {
     int32_t call;
     int32_t status;   /* what the FMI call returned */
     int32_t transfer; /* OUTPUT_NOT_FINITE */
-    int32_t index;    /* of the value in the transfer, or of the component's state */
+    int32_t index;    /* of the value in the transfer, or of the component's state or event indicator */
     double value;     /* time reached, or step size */
 } Failure;
 
@@ -120,7 +126,9 @@ typedef struct {
     int32_t n_components;
     int32_t n_states;
     int32_t n_signals;
+    int32_t n_indicators;
     int32_t width; /* numbers in a message */
+    int32_t reserved;
     const Component *components;
     const Transfer *transfers;
     const Transfers *outputs; /* n_components */
@@ -154,6 +162,7 @@ typedef struct {
     double *states;     /* n_states */
     double *new_states; /* n_states */
     double *stages;     /* STAGES rows of n_states */
+    double *indicators; /* four rows of n_indicators: before a step, after it, and two in between */
 
     Failure failure;
 } Agent;
@@ -193,8 +202,20 @@ bool handle_event(Agent *agent, int64_t time_ns, bool listen);
 bool enter_event_mode(Agent *agent);
 bool iterate_events(Agent *agent);
 
-/* joint.c */
-bool integrate_states(Agent *agent, int64_t start_ns, int64_t end_ns);
+/* joint.c: `reached_ns` is `end_ns`, or earlier if there is a state event of `component`. */
+bool integrate_states(Agent *agent, int64_t start_ns, int64_t end_ns, int64_t *reached_ns, int32_t *component);
+
+/* crossings.c: state events, as in cosim/crossings.py */
+typedef struct {
+    int64_t low;
+    int64_t high;
+} Bracket;
+typedef bool (*Evaluate)(Agent *agent, const void *step, int64_t time_ns, double *indicators);
+
+bool has_crossed(double before, double after);
+bool any_crossed(const Agent *agent, const double *before, const double *after);
+Bracket bracket(double start, double reached, int64_t start_ns, int64_t end_ns, bool final);
+bool first_crossing(Agent *agent, Bracket ends, Evaluate evaluate, const void *step, int64_t *found);
 
 /* steps.c */
 bool step_components(Agent *agent, int64_t start_ns, int64_t end_ns);

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.components.component import Component, Interface, Variable
+from cosim.crossings import chattering
 from cosim.errors import ComponentError, ConfigError, Problem
 from cosim.kernel import layout
 from cosim.kernel.layout import Reason
@@ -40,10 +41,12 @@ class Kind:
         self._memory: list[Any] = []
         self._tables: dict[tuple[int, int], tuple[Any, int]] = {}
         n, n_states = len(components), sum(component.n_states for component in components)
+        n_indicators = sum(component.n_indicators for component in components)
         self._agent = layout.Agent(
             n_components=n,
             n_states=n_states,
             n_signals=wiring.n_signals,
+            n_indicators=n_indicators,
             width=wiring.mailbox.values.shape[1],
             propagate=self._transfers.add(wiring.propagate),
             listen=self._transfers.add(wiring.listen),
@@ -65,6 +68,7 @@ class Kind:
             states=self._keep(np.zeros(n_states)),
             new_states=self._keep(np.zeros(n_states)),
             stages=self._keep(np.zeros(layout.STAGES * n_states)),
+            indicators=self._keep(np.zeros(4 * n_indicators)),
         )
         rows = self._transfers.rows
         self._agent.transfers = self._keep((layout.Transfer * len(rows))(*rows))
@@ -73,14 +77,16 @@ class Kind:
 
     def rows(self, components: Sequence[FmuComponent]) -> Iterator[tuple[int, ...]]:
         """The kernel's `Component`, per component of an agent of this kind."""
-        first_state = 0
+        first_state = first_indicator = 0
         for c, component in enumerate(components):
             native = component.native()
             read = [self._wiring.owner[transfer.positions] for transfer in self._wiring.inputs[c]]
             reads_earlier = any(np.any((owners >= 0) & (owners < c)) for owners in read)
             functions = self._functions(c, native)
-            yield native.fmi, component.n_states, first_state, reads_earlier, native.instance, functions
+            sizes = (component.n_states, first_state, reads_earlier, component.n_indicators, first_indicator)
+            yield native.fmi, *sizes, native.instance, functions
             first_state += component.n_states
+            first_indicator += component.n_indicators
 
     def failure(self, components: Sequence[FmuComponent]) -> ComponentError:
         """What the kernel noted of an agent of this kind, in the words of the Python loop and of `FmuComponent`."""
@@ -106,6 +112,10 @@ class Kind:
                 return ComponentError(component.name, message)
             case Reason.DISCRETE_STATES_UNSETTLED:
                 return component.unsettled()
+            case Reason.INDICATOR_NAN:
+                return ComponentError(component.name, f"event indicator {failure.index + 1} is not a number")
+            case Reason.CHATTERING:
+                return ComponentError(component.name, chattering(self._agent.step_ns))
             case _:
                 return ComponentError(
                     component.name,

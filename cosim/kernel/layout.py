@@ -28,18 +28,20 @@ FMI2_TYPES = {"Float64": "Real", "Int32": "Integer", "Fmi2Boolean": "Boolean"}
 MODEL_EXCHANGE_CALLS = {
     2: (
         *("fmi2SetTime", "fmi2SetContinuousStates", "fmi2GetContinuousStates", "fmi2GetDerivatives"),
+        "fmi2GetEventIndicators",
         *("fmi2CompletedIntegratorStep", "fmi2EnterEventMode", "fmi2NewDiscreteStates"),
         "fmi2EnterContinuousTimeMode",
     ),
     3: (
         *("fmi3SetTime", "fmi3SetContinuousStates", "fmi3GetContinuousStates", "fmi3GetContinuousStateDerivatives"),
+        "fmi3GetEventIndicators",
         *("fmi3CompletedIntegratorStep", "fmi3EnterEventMode", "fmi3UpdateDiscreteStates"),
         "fmi3EnterContinuousTimeMode",
     ),
 }
 """By FMI version, from call number 0 on."""
-DO_STEP = 8
-GET_VALUES = 9
+DO_STEP = 9
+GET_VALUES = 10
 SET_VALUES = GET_VALUES + len(TYPES)
 N_CALLS = SET_VALUES + len(TYPES)
 
@@ -55,6 +57,8 @@ class Reason(IntEnum):
     EVENTS_UNSETTLED = 6
     DISCRETE_STATES_UNSETTLED = 7
     STEP_TOO_SMALL = 8
+    INDICATOR_NAN = 9
+    CHATTERING = 10
 
 
 class Component(ctypes.Structure):
@@ -65,6 +69,8 @@ class Component(ctypes.Structure):
         ("n_states", c_int32),
         ("first_state", c_int32),
         ("reads_earlier", c_int32),
+        ("n_indicators", c_int32),
+        ("first_indicator", c_int32),
         ("instance", c_void_p),
         ("functions", c_void_p),
     )
@@ -116,7 +122,7 @@ class Agent(ctypes.Structure):
     """The agent at hand."""
 
     _fields_ = (
-        *((name, c_int32) for name in ("n_components", "n_states", "n_signals", "width")),
+        *((name, c_int32) for name in ("n_components", "n_states", "n_signals", "n_indicators", "width", "reserved")),
         *((name, c_void_p) for name in ("components", "transfers", "outputs", "inputs")),
         *((name, Transfers) for name in ("propagate", "listen", "sample")),
         *((name, c_void_p) for name in ("owner", "mailbox_values", "mailbox_stamp", "mailbox_time")),
@@ -126,7 +132,7 @@ class Agent(ctypes.Structure):
         ("relative_tolerance", c_double),
         ("absolute_tolerance", c_double),
         *((name, c_void_p) for name in ("signals", "previous", "steps", "next_event", "time")),
-        *((name, c_void_p) for name in ("before", "middle", "source", "states", "new_states", "stages")),
+        *((name, c_void_p) for name in ("before", "middle", "source", "states", "new_states", "stages", "indicators")),
         ("failure", Failure),
     )
 

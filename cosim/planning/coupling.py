@@ -47,11 +47,9 @@ def choose_coupling(
 
 
 def _auto(descriptions: Mapping[str, Description]) -> Method:
-    """`joint` where all components allow it and have no state events, which it does not locate; else `midpoint`."""
+    """`joint` where all components allow it, else `midpoint`."""
     exchange = all(Interface.MODEL_EXCHANGE in description.interfaces for description in descriptions.values())
-    slaves = all(Interface.CO_SIMULATION in description.interfaces for description in descriptions.values())
-    state_events = any(description.n_event_indicators for description in descriptions.values())
-    return Method.JOINT if exchange and not (state_events and slaves) else Method.MIDPOINT
+    return Method.JOINT if exchange else Method.MIDPOINT
 
 
 def _warn(
@@ -63,12 +61,7 @@ def _warn(
 ) -> None:
     """What a component does not promise, though it may work."""
     for name, description in descriptions.items():
-        if method is Method.JOINT and description.n_event_indicators:
-            problems.warning(
-                f"{name!r} has state events, which 'joint' does not locate: they wait for the end of a micro step",
-                where,
-            )
-        elif method is not Method.JOINT and n_neighbours and not description.variable_step:
+        if method is not Method.JOINT and n_neighbours and not description.variable_step:
             problems.warning(
                 f"{name!r} accepts steps of one length only; it may refuse one that an arrival between ticks cuts",
                 where,

@@ -37,13 +37,15 @@ enum {
     DERIVATIVE_JUMPS,
     DERIVATIVE_HANGS,
     DERIVATIVE_CRASHES,
+    INDICATOR_NAN,
+    CHATTERS,
 };
 
 typedef struct {
     double slots[N_SLOTS];
     double vector[8];
     char label[64];
-    bool structural_mode, fmi3;
+    bool structural_mode, fmi3, falling;
     double next_event;
     int updates;
     void *environment;
@@ -92,6 +94,7 @@ static double rate(const Probe *p) {
     if (mode(p) == STATE_GROWS) return p->slots[STATE] * p->slots[STATE] * p->slots[STATE];
     if (mode(p) == DERIVATIVE_NAN) return p->slots[TIME] > 0.05 ? NAN : 0.0;
     if (mode(p) == DERIVATIVE_JUMPS) return p->slots[TIME] > 0.05 ? 1e30 : 0.0;
+    if (mode(p) == CHATTERS) return p->falling ? -10.0 : 10.0;
     return 10.0 + p->vector[0];
 }
 
@@ -104,12 +107,21 @@ static double read(Probe *p, unsigned reference, size_t element) {
 
 static int update(Probe *p, bool *again, bool *stop, double *next_event) {
     while (p->next_event <= p->slots[TIME] + 1e-12) p->next_event += 0.03;
-    if (p->slots[STATE] > 2.0) p->slots[STATE] -= 1.0;
+    if (p->slots[STATE] >= 2.0) p->slots[STATE] -= 1.0;
     p->slots[EVENTS] += 1.0;
+    p->falling = p->slots[STATE] > 1.5;
     *again = mode(p) == NEVER_SETTLES && p->slots[TIME] > 0.0;
     *stop = mode(p) == UPDATE_STOPS && p->slots[TIME] > 0.0;
     *next_event = p->next_event;
     return mode(p) == UPDATE_ERROR && p->slots[TIME] > 0.0 ? failed(p, ERROR) : OK;
+}
+
+/* Where the description has an event indicator, `x` loses 1 as soon as it is 2. */
+static int indicate(Probe *p, double z[], size_t n) {
+    if (n != 1) return failed(p, ERROR);
+    z[0] = mode(p) == CHATTERS ? 1.5 - p->slots[STATE] : 2.0 - p->slots[STATE];
+    if (mode(p) == INDICATOR_NAN && p->slots[TIME] > 0.05) z[0] = NAN;
+    return OK;
 }
 
 static int completed(Probe *p, bool *event, bool *stop) {
@@ -232,6 +244,7 @@ fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance i, fmi3Float64 dx[], s
     if (n) dx[0] = rate(i);
     return fmi3OK;
 }
+fmi3Status fmi3GetEventIndicators(fmi3Instance i, fmi3Float64 z[], size_t n) { return (fmi3Status)indicate(i, z, n); }
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance i, fmi3Boolean final, fmi3Boolean *event, fmi3Boolean *stop) {
     (void)final;
     return (fmi3Status)completed(i, event, stop);
@@ -306,6 +319,7 @@ fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t n) {
 fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real dx[], size_t n) {
     return (fmi2Status)fmi3GetContinuousStateDerivatives(c, dx, n);
 }
+fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real z[], size_t n) { return (fmi2Status)indicate(c, z, n); }
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean final, fmi2Boolean *event, fmi2Boolean *stop) {
     bool wants_event, wants_stop;
     (void)final;

@@ -21,7 +21,7 @@ FAILS = (
     *("nothing", "step_discards", "step_error", "step_fatal", "step_stops", "step_early", "never_settles"),
     *("output_nan", "state_grows", "update_stops", "completed_stops", "derivative_error", "completed_error"),
     *("update_error", "never_converges", "derivative_nan", "derivative_jumps"),
-    *("derivative_hangs", "derivative_crashes"),
+    *("derivative_hangs", "derivative_crashes", "indicator_nan", "chatters"),
 )
 
 
@@ -166,6 +166,16 @@ def description2() -> str:
   </ModelStructure>
 </fmiModelDescription>
 """
+
+
+def with_indicator(description: str) -> str:
+    """The same probe with an event indicator: `x` loses 1 as soon as it is 2, not at the end of a step."""
+    if 'fmiVersion="2.0"' in description:
+        return description.replace("<fmiModelDescription", '<fmiModelDescription numberOfEventIndicators="1"')
+    variable = '<Float64 name="z" valueReference="54"/></ModelVariables>'
+    indicator = '<EventIndicator valueReference="54"/></ModelStructure>'
+    text = re.sub(r"\s*</ModelVariables>", variable, description)
+    return re.sub(r"\s*</ModelStructure>", indicator, text)
 
 
 def write_fmu(

@@ -183,15 +183,15 @@ class FmuComponent(Component):
                 self._end(running=self._initialised and not self._failed)
 
     # --- Model Exchange ---------------------------------------------------------------------------------------------
-    def _resize(self, n_states: int) -> None:
+    def _resize(self, n_states: int, n_indicators: int) -> None:
         self.n_states = n_states
+        self.n_indicators = n_indicators
         self.__dict__.pop("_vector", None)
 
     @functools.cached_property
     def _vector(self) -> tuple[Floats, Any]:
         """Memory for the states, and a pointer to it; the native loop does without."""
-        vector = np.zeros(self.n_states)
-        return vector, vector.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+        return _memory(self.n_states)
 
     def _get_vector(self, function: str) -> Floats:
         vector, pointer = self._vector
@@ -225,6 +225,11 @@ class FmuComponent(Component):
     @abstractmethod
     def _update_discrete_states(self) -> tuple[bool, bool, bool, bool, bool, float]: ...
 
+    def event_indicators(self) -> Floats:
+        vector, pointer = _memory(self.n_indicators)
+        self._call(f"fmi{self._fmi}GetEventIndicators", pointer, self.n_indicators)
+        return vector
+
     def completed_step(self) -> bool:
         self.require_usable()
         try:
@@ -236,12 +241,20 @@ class FmuComponent(Component):
         return bool(wants_event)
 
 
+def _memory(size: int) -> tuple[Floats, Any]:
+    """Numbers, and a pointer to them."""
+    vector = np.zeros(size)
+    return vector, vector.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+
+
 class Fmi2Component(FmuComponent):
     """FMI 2.0."""
 
     def __init__(self, name: str, file: File, interface: Interface, description: Description) -> None:
         super().__init__(name, file, interface, description)
-        self._resize(file.model.numberOfContinuousStates if interface is Interface.MODEL_EXCHANGE else 0)
+        model = file.model
+        if interface is Interface.MODEL_EXCHANGE:
+            self._resize(model.numberOfContinuousStates, model.numberOfEventIndicators)
 
     def _instantiate(self) -> None:
         self._fmu.instantiate(callbacks=fmi2_callbacks(self.log))
@@ -311,9 +324,13 @@ class Fmi3Component(FmuComponent):
         self._count_states()
 
     def _count_states(self) -> None:
-        derivatives = self._file.model.derivatives if self.interface is Interface.MODEL_EXCHANGE else ()
-        shapes = (fmi3_shape(derivative.variable, self._structural) for derivative in derivatives)
-        self._resize(sum(int(np.prod(shape, dtype=np.int64)) for shape in shapes))
+        if self.interface is Interface.MODEL_EXCHANGE:
+            model = self._file.model
+            self._resize(self._size(model.derivatives), self._size(model.eventIndicators))
+
+    def _size(self, unknowns: Sequence[Any]) -> int:
+        shapes = (fmi3_shape(unknown.variable, self._structural) for unknown in unknowns)
+        return sum(int(np.prod(shape, dtype=np.int64)) for shape in shapes)
 
     def _instantiate(self) -> None:
         log = self.log
