@@ -121,7 +121,8 @@ def _component(component: ComponentPlan) -> str:
 def _coupling(coupling: CouplingPlan) -> str:
     integrator = f", {coupling.integrator}" if coupling.method is Method.JOINT else ""
     loop = "native loop" if coupling.loop is Loop.NATIVE else "Python loop"
-    return f"{coupling.method}{integrator}, {format_duration(coupling.step_ns)}, {loop}"
+    grid = ", arrivals wait for the end of a step" if coupling.grid else ""
+    return f"{coupling.method}{integrator}, {format_duration(coupling.step_ns)}, {loop}{grid}"
 
 
 # --- who hears whom ---------------------------------------------------------------------------------------------------

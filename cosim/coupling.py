@@ -3,8 +3,9 @@
 It serves agents with a component in Python and is the reference for the native loop (`cosim.kernel`), which carries out
 the same floating-point operations in the same order and so gives the same bits.
 
-Between two events (ticks, arrivals, time events of a component) the interval is cut into equal micro steps no longer
-than the coupling's step. Over a micro step from t to t + h:
+Between two events (ticks, arrivals, events of a component) the interval is cut into equal micro steps no longer than
+the coupling's step. On a grid, for components that accept steps of one length only, arrivals wait for the end of a
+step. Over a micro step from t to t + h:
 
 - `joint`: all states are integrated together, Runge-Kutta 4 or Dormand-Prince 5(4). A step in which an event indicator
   changes its sign is made again up to there (`cosim.crossings`).
@@ -104,9 +105,11 @@ class PythonLoop:
         i, last = updates.ends[agent], updates.ends[agent + 1]
         rows = self._wiring.mailbox.rows
         while i < last:
-            arrival_ns = updates.arrival_ns[i]
+            arrival_ns = self._effect_ns(start_ns, updates.arrival_ns[i])
+            if arrival_ns >= end_ns:
+                break
             self._integrate(time_ns, arrival_ns)
-            while i < last and updates.arrival_ns[i] == arrival_ns:
+            while i < last and self._effect_ns(start_ns, updates.arrival_ns[i]) == arrival_ns:
                 self._signals[rows[updates.slot[i]]] = updates.content[i]
                 i += 1
             self._event(arrival_ns, listen=True)
@@ -114,6 +117,18 @@ class PythonLoop:
         self._integrate(time_ns, end_ns)
         self._event(end_ns, listen=False)
         self._carry_out(self._wiring.sample)
+        if i < last:  # what waits for the end of the last micro step comes after the sample of the tick
+            while i < last:
+                self._signals[rows[updates.slot[i]]] = updates.content[i]
+                i += 1
+            self._event(end_ns, listen=True)
+
+    def _effect_ns(self, start_ns: int, arrival_ns: int) -> int:
+        """When an arrival takes effect: at once, or at the end of a micro step that must not be cut."""
+        if not self._coupling.grid:
+            return arrival_ns
+        step_ns = self._coupling.step_ns
+        return start_ns - (start_ns - arrival_ns) // step_ns * step_ns
 
     def listen(self, time_ns: int) -> None:
         """An event at which the inputs take what the mailbox and the outside have for them.
@@ -195,7 +210,7 @@ class PythonLoop:
     def _micro_steps(self, start_ns: int, end_ns: int) -> tuple[int, float]:
         """How many equal micro steps, and their length in seconds."""
         n = -((start_ns - end_ns) // self._coupling.step_ns)
-        return n, to_seconds(end_ns - start_ns) / n
+        return n, to_seconds(self._coupling.step_ns) if self._coupling.grid else to_seconds(end_ns - start_ns) / n
 
     # --- joint ------------------------------------------------------------------------------------------------------
     def _runge_kutta(self, start_ns: int, end_ns: int) -> int:

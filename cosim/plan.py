@@ -51,7 +51,12 @@ class Loop(StrEnum):
 
 @dataclass(frozen=True)
 class CouplingPlan:
-    """Micro step in nanoseconds (the largest one, for the adaptive pair) and tolerances."""
+    """Micro step in nanoseconds (the largest one, for the adaptive pair) and tolerances.
+
+    Attributes:
+        grid: every micro step has this length, because a component accepts no other: an arrival waits for the end of
+            the one it falls into.
+    """
 
     method: Method
     step_ns: int
@@ -59,6 +64,7 @@ class CouplingPlan:
     relative_tolerance: float = 1e-8
     absolute_tolerance: float = 1e-10
     loop: Loop = Loop.NATIVE
+    grid: bool = False
 
 
 @dataclass(frozen=True)

@@ -108,6 +108,8 @@ class Description:
         whole: whether it can be run; False where only the description of an FMU is here.
         n_event_indicators: Model Exchange: number of event indicators.
         variable_step: Co-Simulation: whether it accepts communication steps of different lengths.
+        internal_step: Co-Simulation: length in seconds of the steps that it makes inside, None where it does not say.
+        usual_step: the step in seconds of its default experiment, None where it has none.
         can_get_and_set_state: whether it can be saved and restored.
     """
 
@@ -119,6 +121,8 @@ class Description:
     sha256: str = ""
     n_event_indicators: int = 0
     variable_step: bool = True
+    internal_step: float | None = None
+    usual_step: float | None = None
     can_get_and_set_state: bool = False
     whole: bool = True
 

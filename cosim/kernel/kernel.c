@@ -20,7 +20,7 @@ bool fail(Agent *agent, Failure failure) {
 
 int64_t micro_steps(const Agent *agent, int64_t start_ns, int64_t end_ns, double *length) {
     int64_t n = (end_ns - start_ns + agent->step_ns - 1) / agent->step_ns;
-    *length = to_seconds(end_ns - start_ns) / (double)n;
+    *length = agent->grid ? to_seconds(agent->step_ns) : to_seconds(end_ns - start_ns) / (double)n;
     return n;
 }
 
@@ -75,24 +75,45 @@ static void deliver(Agent *agent, const Mail *mail, int64_t i, int64_t period_ns
     agent->signals[agent->mailbox_time[slot]] = to_seconds(mail->stamp[i] * period_ns);
 }
 
+/* When an arrival takes effect: at once, or at the end of a micro step that must not be cut. */
+static int64_t effect_of(const Agent *agent, int64_t start_ns, int64_t arrival_ns) {
+    if (!agent->grid) return arrival_ns;
+    return start_ns + (arrival_ns - start_ns + agent->step_ns - 1) / agent->step_ns * agent->step_ns;
+}
+
+/* Deliver the fresh ones among messages from `*i` on that take effect at a time; whether there are any. */
+static bool deliver_at(Agent *agent, int64_t start_ns, int64_t period_ns, const Mail *mail, int64_t *i, int64_t last,
+                       int64_t time_ns) {
+    bool any = false;
+    for (; *i < last && effect_of(agent, start_ns, mail->arrival_ns[*i]) == time_ns; ++*i) {
+        if (!is_fresh(agent, mail, *i)) continue;
+        deliver(agent, mail, *i, period_ns);
+        any = true;
+    }
+    return any;
+}
+
 /* From one tick to the next with messages `first` up to `last`, breaking at each arrival that changes the mailbox;
  * afterwards the signals hold the sample of `end_ns`. */
 static bool advance(Agent *agent, int64_t start_ns, int64_t period_ns, const Mail *mail, int64_t first, int64_t last) {
-    int64_t time_ns = start_ns, end_ns = start_ns + period_ns;
-    for (int64_t i = first; i < last;) {
-        int64_t arrival_ns = mail->arrival_ns[i];
+    int64_t time_ns = start_ns, end_ns = start_ns + period_ns, i = first;
+    while (i < last) {
+        int64_t effect_ns = effect_of(agent, start_ns, mail->arrival_ns[i]);
+        if (effect_ns >= end_ns) break;
         if (!is_fresh(agent, mail, i)) {
             i++;
             continue;
         }
-        if (!integrate(agent, time_ns, arrival_ns)) return false;
-        for (; i < last && mail->arrival_ns[i] == arrival_ns; i++)
-            if (is_fresh(agent, mail, i)) deliver(agent, mail, i, period_ns);
-        if (!handle_event(agent, arrival_ns, true)) return false;
-        time_ns = arrival_ns;
+        if (!integrate(agent, time_ns, effect_ns)) return false;
+        deliver_at(agent, start_ns, period_ns, mail, &i, last, effect_ns);
+        if (!handle_event(agent, effect_ns, true)) return false;
+        time_ns = effect_ns;
     }
-    return integrate(agent, time_ns, end_ns) && handle_event(agent, end_ns, false) &&
-           carry_out(agent, agent->sample, agent->signals);
+    if (!integrate(agent, time_ns, end_ns) || !handle_event(agent, end_ns, false) ||
+        !carry_out(agent, agent->sample, agent->signals))
+        return false;
+    /* What waits for the end of the last micro step comes after the sample of the tick. */
+    return !deliver_at(agent, start_ns, period_ns, mail, &i, last, end_ns) || handle_event(agent, end_ns, true);
 }
 
 /* Advance members from `tick` to the next one, in their order. How many have been: if not all, then the next one has

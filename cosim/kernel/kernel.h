@@ -128,7 +128,7 @@ typedef struct {
     int32_t n_signals;
     int32_t n_indicators;
     int32_t width; /* numbers in a message */
-    int32_t reserved;
+    int32_t grid;  /* every micro step has the same length, and arrivals wait for its end */
     const Component *components;
     const Transfer *transfers;
     const Transfers *outputs; /* n_components */

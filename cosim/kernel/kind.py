@@ -48,6 +48,7 @@ class Kind:
             n_signals=wiring.n_signals,
             n_indicators=n_indicators,
             width=wiring.mailbox.values.shape[1],
+            grid=coupling.grid,
             propagate=self._transfers.add(wiring.propagate),
             listen=self._transfers.add(wiring.listen),
             sample=self._transfers.add(wiring.sample),

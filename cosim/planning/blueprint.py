@@ -77,7 +77,8 @@ def draw_up(entry: AgentEntry, n_neighbours: int, describer: Describer, period_n
     record = _record(ports, entry)
     if len(parts) < len(names):
         return None
-    coupling = choose_coupling(entry, ports.descriptions, n_neighbours, period_ns, problems)
+    readers = {names[x.target.component] for x in connections if x.source.component < x.target.component}
+    coupling = choose_coupling(entry, ports.descriptions, readers, period_ns, problems)
     return Blueprint(entry, n_neighbours, tuple(parts), ports, assigned_ports, connections, publish, record, coupling)
 
 

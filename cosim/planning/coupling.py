@@ -2,30 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Set
 
 from cosim.components.component import Description, Interface
 from cosim.errors import Location
 from cosim.plan import AgentPlan, CouplingPlan, Integrator, Loop, Method
 from cosim.planning.problems import Problems
+from cosim.planning.steps import choose_step, own_steps
 from cosim.scenario.reading import AgentEntry
 from cosim.scenario.source import Node
 from cosim.scenario.spec import CouplingSpec
-from network.units import format_duration
-
-_DEFAULT_STEP_NS = {Method.JOINT: 5_000_000}
-_OTHER_STEP_NS = 1_000_000
-_MOST_STEPS_TO_TRY = 10_000
 
 
 def choose_coupling(
     entry: AgentEntry,
     descriptions: Mapping[str, Description],
-    n_neighbours: int,
+    readers: Set[str],
     period_ns: int,
     problems: Problems,
 ) -> CouplingPlan | None:
-    """The coupling of agents whose components are `descriptions`; None, and problems, where there is none."""
+    """The coupling of agents; None, and problems, where there is none.
+
+    Args:
+        entry: how they are written.
+        descriptions: of their components.
+        readers: components that read one that is listed before them.
+        period_ns: T.
+        problems: takes what is wrong.
+    """
     spec, node = entry.spec.coupling, entry.node
     where = node.locate("coupling", "method")
     method = _auto(descriptions) if spec.method == "auto" else Method(spec.method)
@@ -36,36 +40,21 @@ def choose_coupling(
         problems.error(
             f"{why}: {_quoted(lacking)} {'does' if len(lacking) == 1 else 'do'} not offer {_words(wanted)}", where
         )
-    _warn(method, descriptions, n_neighbours, where, problems)
     loop = _loop(spec, node, descriptions, problems)
-    step_ns = _step(spec, method, node, period_ns, problems)
-    if lacking or step_ns is None:
+    demands = own_steps(descriptions, readers if method is Method.MIDPOINT else frozenset())
+    if method is Method.JOINT:
+        demands = {}
+    step_ns = None if lacking else choose_step(spec, method, node, demands, period_ns, problems)
+    if step_ns is None:
         return None
-    return CouplingPlan(
-        method, step_ns, Integrator(spec.integrator), spec.relative_tolerance, spec.absolute_tolerance, loop
-    )
+    tolerances = spec.relative_tolerance, spec.absolute_tolerance
+    return CouplingPlan(method, step_ns, Integrator(spec.integrator), *tolerances, loop, grid=bool(demands))
 
 
 def _auto(descriptions: Mapping[str, Description]) -> Method:
     """`joint` where all components allow it, else `midpoint`."""
     exchange = all(Interface.MODEL_EXCHANGE in description.interfaces for description in descriptions.values())
     return Method.JOINT if exchange else Method.MIDPOINT
-
-
-def _warn(
-    method: Method,
-    descriptions: Mapping[str, Description],
-    n_neighbours: int,
-    where: Location,
-    problems: Problems,
-) -> None:
-    """What a component does not promise, though it may work."""
-    for name, description in descriptions.items():
-        if method is not Method.JOINT and n_neighbours and not description.variable_step:
-            problems.warning(
-                f"{name!r} accepts steps of one length only; it may refuse one that an arrival between ticks cuts",
-                where,
-            )
 
 
 def warn_of_order(agent: AgentPlan, where: Location, problems: Problems) -> None:
@@ -97,34 +86,6 @@ def _loop(spec: CouplingSpec, node: Node, descriptions: Mapping[str, Description
     if spec.loop is not None:
         return Loop(spec.loop)
     return Loop.PYTHON if python else Loop.NATIVE
-
-
-def _step(spec: CouplingSpec, method: Method, node: Node, period_ns: int, problems: Problems) -> int | None:
-    """The micro step given, else the largest that divides the period and is no larger than the usual one."""
-    where, period = node.locate("coupling", "step"), format_duration(period_ns)
-    if spec.step is None:
-        usual = _DEFAULT_STEP_NS.get(method, _OTHER_STEP_NS)
-        fitting = _dividing(period_ns, usual)
-        if fitting is None:
-            problems.error(f"no usual step divides the period {period}; give 'step' under 'coupling'", node.where)
-        return fitting
-    step = format_duration(spec.step)
-    if spec.step > period_ns:
-        problems.error(f"the step {step} is longer than the period {period}", where)
-        return None
-    if period_ns % spec.step and not (method is Method.JOINT and spec.integrator == "dormand-prince"):
-        fitting = _dividing(period_ns, spec.step)
-        hint = f"; {format_duration(fitting)} does" if fitting else ""
-        problems.error(f"the step {step} does not divide the period {period}{hint}", where)
-        return None
-    return spec.step
-
-
-def _dividing(period_ns: int, largest_ns: int) -> int | None:
-    """The largest step that divides the period and is at most `largest_ns`, unless it is much smaller."""
-    fewest = -(-period_ns // largest_ns)
-    candidates = range(fewest, fewest + _MOST_STEPS_TO_TRY)
-    return next((period_ns // steps for steps in candidates if period_ns % steps == 0), None)
 
 
 def _words(interface: Interface) -> str:

@@ -218,11 +218,12 @@ class CouplingSpec(Spec):
 
     method: Literal["auto", "joint", "midpoint", "gauss-seidel", "jacobi"] = Field(
         "auto",
-        description="auto: joint where every component offers Model Exchange without event indicators, else midpoint. "
+        description="auto: joint where every component offers Model Exchange, else midpoint. "
         "joint: one integrator for all states. midpoint, gauss-seidel, jacobi: Co-Simulation.",
     )
     step: PositiveDuration | None = Field(
-        None, description="Micro step; it divides the period. By default 5 ms for joint and 1 ms otherwise."
+        None,
+        description="Micro step; it divides the period. By default 5 ms for joint, else 1 ms or what an FMU asks for.",
     )
     integrator: Literal["rk4", "dormand-prince"] = Field(
         "rk4", description="For joint; dormand-prince adapts its step."

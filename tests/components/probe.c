@@ -39,6 +39,7 @@ enum {
     DERIVATIVE_CRASHES,
     INDICATOR_NAN,
     CHATTERS,
+    STEP_FIXED,
 };
 
 typedef struct {
@@ -135,6 +136,7 @@ static int step(Probe *p, double time, double length) {
     if (mode(p) == STEP_DISCARDS) return failed(p, DISCARD);
     if (mode(p) == STEP_ERROR) return failed(p, ERROR);
     if (mode(p) == STEP_FATAL) return failed(p, FATAL);
+    if (mode(p) == STEP_FIXED && (length != 0.01 || fabs(remainder(time, 0.01)) > 1e-12)) return failed(p, ERROR);
     p->slots[TIME] = time + length;
     p->slots[STATE] += length * rate(p);
     return OK;

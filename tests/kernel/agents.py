@@ -38,6 +38,7 @@ class Case:
     plant_first: bool = True
     adaptation_sign: float = -1.0
     p: tuple[float, float] = (0.4, -1.1)
+    grid: bool = False
 
 
 def plan(case: Case) -> AgentPlan:
@@ -83,7 +84,7 @@ def plan(case: Case) -> AgentPlan:
         ),
         neighbours=tuple(range(1, n + 1)),
         weights=(1.0 / n,) * n if n else (),
-        coupling=CouplingPlan(case.method, case.step_ns, case.integrator),
+        coupling=CouplingPlan(case.method, case.step_ns, case.integrator, grid=case.grid),
         record=tuple((f"x.{p.variable.name}", p) for p in record),
     )
 

@@ -44,12 +44,14 @@ def messages(draw: st.DrawFn, tick: int, n_neighbours: int) -> list[Row]:
 @st.composite
 def cases(draw: st.DrawFn, method: Method) -> Case:
     joint = method is Method.JOINT
+    step_ns = draw(st.sampled_from([5_000_000, 7_654_321, 20_000_000] if joint else [1_000_000, 3_141_592]))
     return Case(
         plant=draw(st.sampled_from([2, 3])),
         controller=draw(st.sampled_from([2, 3])),
         method=method,
         integrator=draw(st.sampled_from(list(Integrator))) if joint else Integrator.RK4,
-        step_ns=draw(st.sampled_from([5_000_000, 7_654_321, 20_000_000] if joint else [1_000_000, 3_141_592])),
+        step_ns=step_ns,
+        grid=not joint and T_NS % step_ns == 0 and draw(st.booleans()),
         n_neighbours=draw(st.integers(0, 3)),
         role=draw(st.sampled_from(["follower", "leader", "known_velocity"])),
         extrapolation=draw(

@@ -1,5 +1,8 @@
 """Which coupling an agent gets, from what its components offer."""
 
+from collections.abc import Set
+from typing import Any
+
 import pytest
 
 from cosim.components.component import Description, Interface
@@ -15,19 +18,19 @@ ME, CS = Interface.MODEL_EXCHANGE, Interface.CO_SIMULATION
 PERIOD = 100_000_000
 
 
-def describe(*interfaces: Interface, fmi: str = "3.0", indicators: int = 0, variable_step: bool = True) -> Description:
-    return Description("M", fmi, interfaces, {}, n_event_indicators=indicators, variable_step=variable_step)
+def describe(*interfaces: Interface, fmi: str = "3.0", **attributes: Any) -> Description:
+    return Description("M", fmi, interfaces, {}, **attributes)
 
 
 def choose(
-    text: str, *descriptions: Description, period_ns: int = PERIOD
+    text: str, *descriptions: Description, period_ns: int = PERIOD, readers: Set[str] = frozenset({"controller"})
 ) -> tuple[CouplingPlan | None, list[str], list[str]]:
     """The choice, the errors and the warnings."""
     node = parse(f"coupling: {text}", "f")
     problems = Problems()
     named = dict(zip(("plant", "controller"), descriptions, strict=False))
     found = choose_coupling(
-        AgentEntry(AgentSpec.model_validate(node.plain()), node, None), named, 2, period_ns, problems
+        AgentEntry(AgentSpec.model_validate(node.plain()), node, None), named, readers, period_ns, problems
     )
     errors: list[str] = []
     try:
@@ -43,8 +46,8 @@ def choose(
         ([describe(ME, CS), describe(ME, CS)], Method.JOINT),
         ([describe(ME), describe(ME)], Method.JOINT),
         ([describe(ME, CS), describe(CS)], Method.MIDPOINT),
-        ([describe(ME, CS, indicators=1), describe(ME, CS)], Method.JOINT),
-        ([describe(ME, indicators=1), describe(ME)], Method.JOINT),
+        ([describe(ME, CS, n_event_indicators=1), describe(ME, CS)], Method.JOINT),
+        ([describe(ME, n_event_indicators=1), describe(ME)], Method.JOINT),
     ],
 )
 def test_auto(descriptions: list[Description], method: Method) -> None:
@@ -86,16 +89,69 @@ def test_what_cannot_be(text: str, descriptions: list[Description], sentence: st
 
 
 @pytest.mark.parametrize(
-    ("text", "description", "sentence"),
+    ("text", "plant", "controller", "period_ns", "step_ns"),
     [
-        ("{method: midpoint}", describe(CS, variable_step=False), "'plant' accepts steps of one length only"),
+        ("{}", {"variable_step": False}, {}, PERIOD, 1_000_000),
+        ("{}", {"variable_step": False, "usual_step": 0.02}, {}, PERIOD, 20_000_000),
+        ("{}", {"variable_step": False, "usual_step": 0.03}, {}, PERIOD, 25_000_000),
+        ("{}", {"internal_step": 0.0002}, {}, PERIOD, 1_000_000),
+        ("{}", {"internal_step": 0.1}, {}, PERIOD, PERIOD),
+        ("{}", {"internal_step": 0.004}, {"internal_step": 0.005}, 400_000_000, 20_000_000),
+        ("{method: gauss-seidel}", {"internal_step": 0.004}, {"internal_step": 0.01}, PERIOD, 20_000_000),
+        ("{}", {}, {"internal_step": 0.01}, PERIOD, 20_000_000),
+        ("{step: 20 ms}", {"internal_step": 0.01}, {}, PERIOD, 20_000_000),
     ],
 )
-def test_what_is_not_promised(text: str, description: Description, sentence: str) -> None:
-    found, errors, (warning,) = choose(text, description)
+def test_components_that_make_steps_of_their_own(
+    text: str, plant: dict[str, Any], controller: dict[str, Any], period_ns: int, step_ns: int
+) -> None:
+    """In `midpoint`, a component that reads one listed before it makes two half steps."""
+    found, errors, warnings = choose(text, describe(CS, **plant), describe(CS, **controller), period_ns=period_ns)
+    assert (errors, warnings) == ([], [])
     assert found is not None
-    assert errors == []
-    assert sentence in warning
+    assert found.step_ns == step_ns
+    assert found.grid
+
+
+@pytest.mark.parametrize("interfaces", [(CS,), (ME, CS)])
+def test_steps_of_any_length_need_no_grid(interfaces: tuple[Interface, ...]) -> None:
+    described = describe(*interfaces, internal_step=0.01 if ME in interfaces else None)
+    found, _, _ = choose("{}", described, describe(*interfaces))
+    assert found is not None
+    assert not found.grid
+
+
+@pytest.mark.parametrize(
+    ("text", "controller", "sentence"),
+    [
+        (
+            "{method: jacobi}",
+            {"internal_step": 0.03},
+            "'controller' advances in steps of 30 ms (fixedInternalStepSize), and the period 100 ms is no multiple of "
+            "that; 90 ms or 120 ms is",
+        ),
+        (
+            "{}",
+            {"internal_step": 0.1},
+            "'controller' advances in steps of 100 ms and makes two of them per micro step (fixedInternalStepSize), "
+            "and the period 100 ms is no multiple of that; 200 ms is",
+        ),
+        (
+            "{method: jacobi, step: 25 ms}",
+            {"internal_step": 0.01},
+            "'controller' advances in steps of 10 ms (fixedInternalStepSize), and the step 25 ms is no multiple of "
+            "that; 20 ms does",
+        ),
+        (
+            "{method: jacobi, step: 30 ms}",
+            {"internal_step": 0.01},
+            "the step 30 ms does not divide the period 100 ms; 20 ms does",
+        ),
+    ],
+)
+def test_steps_that_a_component_cannot_make(text: str, controller: dict[str, Any], sentence: str) -> None:
+    _, errors, _ = choose(text, describe(CS), describe(CS, **controller))
+    assert errors == [sentence]
 
 
 @pytest.mark.parametrize(

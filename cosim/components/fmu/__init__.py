@@ -40,8 +40,11 @@ def describe(path: Path, structural: Mapping[str, int] | None = None) -> Descrip
         )
     implementations = file.implementations
     co_simulation = implementations.get(Interface.CO_SIMULATION)
+    experiment = file.model.defaultExperiment
     try:
         variables = fmi2_variables(file.model) if file.fmi == 2 else fmi3_variables(file.model, structural or {})
+        internal_step = _seconds(co_simulation and co_simulation.fixedInternalStepSize)
+        usual_step = _seconds(experiment and experiment.stepSize)
     except (ValueError, TypeError, AttributeError) as error:
         raise refuse(file.archive.path, f"has a broken modelDescription.xml: {error}") from error
     return Description(
@@ -53,9 +56,21 @@ def describe(path: Path, structural: Mapping[str, int] | None = None) -> Descrip
         sha256=file.archive.sha256,
         n_event_indicators=file.model.numberOfEventIndicators,
         variable_step=co_simulation is None or co_simulation.canHandleVariableCommunicationStepSize,
+        internal_step=internal_step,
+        usual_step=usual_step,
         can_get_and_set_state=all(x.canGetAndSetFMUstate for x in implementations.values()),
         whole=file.archive.whole,
     )
+
+
+def _seconds(written: str | float | None) -> float | None:
+    """A step size; None where none, or none that could be, is given.
+
+    Raises:
+        ValueError: it is no number.
+    """
+    step = float(written) if written is not None else 0.0
+    return step if step > 0.0 else None
 
 
 def open_fmu(name: str, path: Path, interface: Interface, description: Description) -> FmuComponent:

@@ -1,0 +1,142 @@
+"""The micro step of an agent: it divides the period, and is a multiple of the steps that its components make inside."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Set
+from dataclasses import dataclass
+
+from cosim.components.component import Description
+from cosim.plan import Method
+from cosim.planning.problems import Problems
+from cosim.scenario.source import Node
+from cosim.scenario.spec import CouplingSpec
+from network.units import NANOSECONDS_PER_SECOND, format_duration
+
+_DEFAULT_STEP_NS = {Method.JOINT: 5_000_000}
+_OTHER_STEP_NS = 1_000_000
+_MOST_STEPS_TO_TRY = 10_000
+
+
+@dataclass(frozen=True)
+class OwnStep:
+    """What a Co-Simulation component asks of its steps, which must all have one length.
+
+    Attributes:
+        unit_ns: the micro step must be a multiple of it; 1 where any length will do.
+        usual_ns: what the component is usually stepped with, or None.
+        halved: it makes two half steps per micro step (`midpoint`).
+    """
+
+    unit_ns: int
+    usual_ns: int | None
+    halved: bool
+
+
+def own_steps(descriptions: Mapping[str, Description], halved: Set[str]) -> dict[str, OwnStep]:
+    """The components that accept steps of one length only, or make steps of a fixed one inside.
+
+    Args:
+        descriptions: of the components.
+        halved: those that make two half steps per micro step.
+    """
+    found = {}
+    for name, description in descriptions.items():
+        if description.variable_step and description.internal_step is None:
+            continue
+        parts = 2 if name in halved else 1
+        internal_ns, usual_ns = _whole_ns(description.internal_step), _whole_ns(description.usual_step)
+        found[name] = OwnStep((internal_ns or 1) * parts, usual_ns and usual_ns * parts, halved=parts > 1)
+    return found
+
+
+def _whole_ns(seconds: float | None) -> int | None:
+    """Seconds in nanoseconds; None where they are no whole number of them, nearly."""
+    nanoseconds = round((seconds or 0.0) * NANOSECONDS_PER_SECOND)
+    if seconds is None or nanoseconds < 1 or not math.isclose(nanoseconds / NANOSECONDS_PER_SECOND, seconds):
+        return None
+    return nanoseconds
+
+
+def choose_step(  # noqa: PLR0917
+    spec: CouplingSpec,
+    method: Method,
+    node: Node,
+    demands: Mapping[str, OwnStep],
+    period_ns: int,
+    problems: Problems,
+) -> int | None:
+    """The micro step given, else the usual one; None, and a problem, where there is none that fits.
+
+    Args:
+        spec: the coupling as written.
+        method: of the coupling.
+        node: where the agents are written.
+        demands: what components ask for.
+        period_ns: T.
+        problems: takes what is wrong.
+    """
+    where, period = node.locate("coupling", "step"), format_duration(period_ns)
+    unit_ns = math.lcm(*(demand.unit_ns for demand in demands.values()))
+    if period_ns % unit_ns:
+        fitting = [format_duration(n * unit_ns) for n in (period_ns // unit_ns, period_ns // unit_ns + 1) if n]
+        reason = _why(demands, unit_ns)
+        problems.error(f"{reason}, and the period {period} is no multiple of that; {' or '.join(fitting)} is", where)
+        return None
+    if spec.step is None:
+        usual = _usual(method, demands)
+        fitting_ns = _fitting(period_ns, unit_ns, usual)
+        if fitting_ns is None:
+            problems.error(f"no usual step divides the period {period}; give 'step' under 'coupling'", node.where)
+        return fitting_ns
+    step = format_duration(spec.step)
+    if spec.step > period_ns:
+        problems.error(f"the step {step} is longer than the period {period}", where)
+        return None
+    adaptive = method is Method.JOINT and spec.integrator == "dormand-prince"
+    if period_ns % spec.step and not adaptive:
+        problems.error(f"the step {step} does not divide the period {period}{_hint(period_ns, unit_ns, spec)}", where)
+        return None
+    if spec.step % unit_ns:
+        hint = _hint(period_ns, unit_ns, spec)
+        problems.error(f"{_why(demands, unit_ns)}, and the step {step} is no multiple of that{hint}", where)
+        return None
+    return spec.step
+
+
+def _usual(method: Method, demands: Mapping[str, OwnStep]) -> int:
+    """The default step: what a component that accepts one length only is usually stepped with, else the method's."""
+    steps = [demand.usual_ns for demand in demands.values() if demand.usual_ns is not None]
+    return min(steps) if steps else _DEFAULT_STEP_NS.get(method, _OTHER_STEP_NS)
+
+
+def _hint(period_ns: int, unit_ns: int, spec: CouplingSpec) -> str:
+    fitting = _fitting(period_ns, unit_ns, spec.step or period_ns)
+    return f"; {format_duration(fitting)} does" if fitting else ""
+
+
+def _fitting(period_ns: int, unit_ns: int, largest_ns: int) -> int | None:
+    """The largest step that divides the period, is a multiple of `unit_ns` and at most `largest_ns`, unless it is much
+    smaller; where even the unit is larger, the smallest one.
+    """
+    units = period_ns // unit_ns
+    most = max(largest_ns // unit_ns, 1)
+    return next((period_ns // steps for steps in _counts(units, most) if units % steps == 0), None)
+
+
+def _counts(units: int, most: int) -> Iterator[int]:
+    """Numbers of steps to try, from the fewest on."""
+    fewest = -(-units // most)
+    return iter(range(fewest, min(fewest + _MOST_STEPS_TO_TRY, units + 1)))
+
+
+def _why(demands: Mapping[str, OwnStep], unit_ns: int) -> str:
+    """`'plant' advances in steps of 3 ms`, naming all that have a part in it."""
+    steps = []
+    for name, demand in demands.items():
+        if demand.unit_ns > 1:
+            own = demand.unit_ns // 2 if demand.halved else demand.unit_ns
+            twice = " and makes two of them per micro step" if demand.halved else ""
+            steps.append(f"{name!r} advances in steps of {format_duration(own)}{twice}")
+    together = f", together in {format_duration(unit_ns)}" if len(steps) > 1 else ""
+    return f"{' and '.join(steps)} (fixedInternalStepSize){together}"
