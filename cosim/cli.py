@@ -113,6 +113,12 @@ def _check(args: argparse.Namespace) -> int:
     return 0
 
 
+def _channel(args: argparse.Namespace) -> int:
+    from cosim.channel import command
+
+    return command.main(args)
+
+
 def _keys(args: argparse.Namespace) -> int:
     from cosim import keys
 
@@ -226,6 +232,7 @@ def _parser() -> argparse.ArgumentParser:
     )
 
     _command(commands, "schema", _schema, "print the JSON schema of a scenario, for editors")
+    _add_channel(commands)
     _add_keys(commands)
     _add_fmu(commands)
     _add_hosts(commands)
@@ -251,6 +258,30 @@ class _Intermixed(argparse.ArgumentParser):
             return self.parse_known_intermixed_args(args, namespace)
         finally:
             self._inside = False
+
+
+def _add_channel(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    channel = _command(commands, "channel", _channel, "play a channel alone: what would a controller get?")
+    channel.add_argument(
+        "profile",
+        nargs="?",
+        metavar="PROFILE",
+        help="a shipped profile such as wifi_busy; a profile's file; SCENARIO:CHANNEL, such as mixed_network:bursts, "
+        "with the edges of the run; or a channel as in a scenario, such as '{model: netem, delay: 20 ms, loss: 2 %%}'",
+    )
+    channel.add_argument("--list", action="store_true", help="show the shipped profiles")
+    played = channel.add_argument_group("how it is played (default: as in the scenario, where there is one)")
+    played.add_argument("--ticks", type=int, metavar="N", help="messages per edge (default: 10000)")
+    played.add_argument("--edges", type=int, metavar="N", help="that have the channel, independently (default: 1)")
+    played.add_argument("--period", metavar="TIME", help="from one message to the next (default: 100 ms)")
+    played.add_argument("--size", metavar="BYTES", help="of a message, where a rate is set (default: 32 B)")
+    played.add_argument("--seed", type=int, metavar="N", help="default: 1")
+    channel.add_argument(
+        "--out", type=Path, metavar="DIR", help="where page and figures go (default: runs/channels/<name>)"
+    )
+    channel.add_argument(
+        "--no-report", dest="report", action="store_false", help="leave out the figures and channel.html"
+    )
 
 
 def _add_keys(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -73,7 +73,7 @@ def traffic(log: EdgeLog, span: Span, history: int = 0) -> Traffic:
     delays = one_way_delays(log, span)
     fresh = log.fate == Fate.DELIVERED
     fresh_at, stamp = log.arrival_ns[fresh], log.stamp[fresh]
-    between = np.diff(np.sort(np.concatenate(([0, span.end_ns], fresh_at))))
+    between = np.diff(np.concatenate(([0], np.sort(fresh_at), [span.end_ns])))
     return Traffic(
         sent=len(log.stamp),
         delivered=delivered,
@@ -96,6 +96,11 @@ def one_way_delays(log: EdgeLog, span: Span) -> Floats:
     """(n,) seconds from leaving to arriving, of all that arrived, in the order of the log."""
     arrived = _arrived(log)
     return np.asarray((log.arrival_ns[arrived] - log.sent[arrived] * span.period_ns) / 1e9)
+
+
+def times_between(log: EdgeLog) -> Floats:
+    """(n - 1,) seconds from each arrival of fresher data to the next, of n such arrivals."""
+    return np.asarray(np.diff(np.sort(log.arrival_ns[log.fate == Fate.DELIVERED])) / 1e9)
 
 
 def loss_runs(log: EdgeLog) -> Ints:

@@ -18,7 +18,7 @@ from cosim.theory import mu, published_bound
 from network.connectivity import unreached
 from network.freshness import Front
 from network.messages import Floats, Ints
-from network.traffic import QUANTILES, most_losses_in, one_way_delays
+from network.traffic import QUANTILES, loss_runs, most_losses_in, one_way_delays, times_between
 from network.units import to_seconds
 
 OPEN_ROWS = 10
@@ -28,7 +28,10 @@ MOST_ROWS = 1000
 """Of a table of edges, the folded ones included."""
 
 FIRM_K = 10
-"""Of (m, k)-firmness."""
+"""Of (m, k)-firmness, edge by edge."""
+
+FIRM_KS = (5, 10, 20, 50, 100)
+"""Of (m, k)-firmness, over all edges."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +66,12 @@ def is_told(edges: Edges) -> bool:
 
 # --- the whole network ------------------------------------------------------------------------------------------------
 def totals(edges: Edges) -> Rows:
-    """Counts, delays, ages, and the pairs of Assumption 1, over all edges."""
-    if not is_told(edges):
-        return []
+    """What the controllers got, and how often the network was jointly rooted."""
+    return [*measures(edges), _rootedness(edges)] if is_told(edges) else []
+
+
+def measures(edges: Edges) -> Rows:
+    """Counts, delays, ages, and the pairs of Assumption 1, over all edges: one at least, two ticks at least."""
     traffic, ages = edges.traffic, edges.ages
     sent, delivered, superseded, lost = (
         sum(getattr(one, name) for one in traffic) for name in ("sent", "delivered", "superseded", "lost")
@@ -82,18 +88,34 @@ def totals(edges: Edges) -> Rows:
         ("Of these", ", ".join(f"{count} {name}" for name, count in counts.items())),
         ("Delivery ratio", _percent((delivered + superseded) / known if known else math.nan)),
         ("One-way delay", _quantiles(delays)),
-        ("Most losses in a row on an edge", str(max(one.losses_in_a_row for one in traffic))),
-        (f"Most losses in any {FIRM_K} in a row", str(max(most_losses_in(log, FIRM_K) for log in edges.logs))),
+        ("Losses in a row on an edge", _runs(edges)),
+        (f"Most losses in any {_listed(FIRM_KS)} in a row", _listed(_firm(edges, k) for k in FIRM_KS)),
         ("Reordered", _percent(reordered / len(delays) if len(delays) else math.nan)),
         ("Duplicates that arrived", str(sum(one.duplicates for one in traffic))),
-        ("Longest time between fresh arrivals (MATI)", number(max(one.most_between for one in traffic), "s")),
+        ("Time between fresh arrivals", _quantiles(np.concatenate([times_between(log) for log in edges.logs]))),
+        ("Longest time without a fresh arrival (MATI)", number(max(one.most_between for one in traffic), "s")),
         ("Oldest sample that was fresh on arrival (MAD)", number(_largest(one.most_stale for one in traffic), "s")),
         ("Age of information, mean over edges and time", number(float(np.mean([one.mean for one in ages])), "s")),
         ("Age of information, largest read at a tick", number(max(one.tick_sup for one in ages), "s")),
         ("Age of information, least upper bound over time", number(max(one.sup for one in ages), "s")),
         ("Age at ticks, largest that the channels allow (h*)", _bound(edges.results)),
     ]
-    return [*rows, *_assumption(edges), _rootedness(edges)]
+    return [*rows, *_assumption(edges)]
+
+
+def _runs(edges: Edges) -> str:
+    runs = np.concatenate([loss_runs(log) for log in edges.logs])
+    return f"mean {number(float(runs.mean()), digits=3)}, most {runs.max()}" if len(runs) else "0"
+
+
+def _firm(edges: Edges, k: int) -> str:
+    """The m of (m, k), or a dash where no edge sent so many messages."""
+    known = [most_losses_in(log, k) for log in edges.logs if len(log.sent) >= k]
+    return str(max(known)) if known else NOTHING
+
+
+def _listed(values: Iterable[object]) -> str:
+    return ", ".join(map(str, values))
 
 
 def _largest(values: Iterable[float]) -> float:
@@ -103,7 +125,7 @@ def _largest(values: Iterable[float]) -> float:
 def _quantiles(delays: Floats) -> str:
     if not len(delays):
         return NOTHING
-    names = ("median", *(f"{q:.0%}" for q in QUANTILES[1:]), "largest")
+    names = ("median", *(f"{100 * q:g} %" for q in QUANTILES[1:]), "largest")
     values = [*np.quantile(delays, QUANTILES).tolist(), float(delays.max())]
     return ", ".join(f"{name} {number(value, 's')}" for name, value in zip(names, values, strict=True))
 
@@ -133,10 +155,15 @@ def _assumption(edges: Edges) -> Rows:
         return [(label, "none: an edge delivered nothing")]
     total = common.k_star * period + common.h_ns
     best = int(np.argmin(total))
-    text = f"{number(to_seconds(int(total[best])), 's')} common to all edges, {_pair(common, best)}"
-    rows = [(label, f"{text}; {number(float(np.median(known)), 's')} for the median edge")]
+    text = number(to_seconds(int(total[best])), "s")
+    if len(edges) == 1:
+        rows = [(label, f"{text}, {_pair(common, best)}")]
+    else:
+        text += f" common to all edges, {_pair(common, best)}"
+        rows = [(label, f"{text}; {number(float(np.median(known)), 's')} for the median edge")]
     if len(total) > 1:
-        rows.append(("Common pairs, from least k* to least h", f"{_pair(common, -1)} to {_pair(common, 0)}"))
+        pairs = f"{_pair(common, -1)} to {_pair(common, 0)}"
+        rows.append(("Pairs (k*, h), from least k* to least h", pairs.replace("(k*, h) = ", "")))
     return rows
 
 

@@ -48,13 +48,18 @@ def names() -> list[str]:
     return sorted(path.stem for path in (configs.folder() / "channels").glob("*.yaml"))
 
 
+def is_file_name(text: str) -> bool:
+    """Whether a text names a file; else it is the name of a shipped profile."""
+    return text.endswith(_SUFFIXES)
+
+
 def find(name: str, folder: Path) -> Path:
     """The file of a shipped profile, or one by its name with its suffix, relative to `folder`.
 
     Raises:
         ValueError: neither; the nearest name is in the message.
     """
-    if not name.endswith(_SUFFIXES):
+    if not is_file_name(name):
         if name not in names():
             hint = suggest(name, names()) or f"; cosim channel --list shows them, {', '.join(names()[:3])} and others"
             raise ValueError(f"no shipped profile {name!r}{hint}; a file has its suffix, such as {name}.yaml")

@@ -82,6 +82,12 @@ class FourState(Impairment):
         """Long-run share of messages that are lost."""
         return float(self.stationary()[2:].sum())
 
+    def mean_burst(self) -> float:
+        """Mean number of losses in a row, NaN where nothing is lost: P(lost) / P(lost, next received)."""
+        shares = self.stationary()
+        ends = shares[2] * (self.end_of_burst + self.p32) + shares[3]
+        return float(shares[2:].sum() / ends) if ends else float("nan")
+
     def open(self, setting: Setting) -> Stage:
         return _FourState(self, setting)
 
@@ -167,6 +173,14 @@ class Loss(Impairment):
         """Long-run share of messages that are lost."""
         model = self.state or self.gemodel
         return model.loss_rate() if model is not None else self.random or 0.0
+
+    def mean_burst(self) -> float:
+        """Mean number of losses in a row, infinity where they never end, NaN where there are none."""
+        model = self.state or self.gemodel
+        if model is not None:
+            return model.mean_burst() if model.loss_rate() else float("nan")
+        goes_on = self.correlation + (1 - self.correlation) * (self.random or 0.0)
+        return 1 / (1 - goes_on) if goes_on < 1 else float("inf")
 
     def open(self, setting: Setting) -> Stage:
         model = self.state or self.gemodel

@@ -154,10 +154,10 @@ def test_interrupt_leaves_a_readable_run_folder(number: signal.Signals, tmp_path
 def test_interrupt_while_the_report_is_drawn(tmp_path: Path) -> None:
     assert cosim("run", "channel_sine", *SHORT, "--out", "run", cwd=tmp_path).returncode == 0
     code = (
-        "import os, signal, sys\nfrom cosim.cli import main\nfrom cosim.reporting import report\n"
-        "original = report._draw_figures\n"
+        "import os, signal, sys\nfrom cosim.cli import main\nfrom cosim.reporting import page\n"
+        "original = page._draw\n"
         "def drawing(*arguments):\n    os.kill(os.getpid(), signal.SIGINT)\n    return original(*arguments)\n"
-        "report._draw_figures = drawing\nsys.exit(main(['report', 'run']))"
+        "page._draw = drawing\nsys.exit(main(['report', 'run']))"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, env=environment(), text=True, capture_output=True, check=False

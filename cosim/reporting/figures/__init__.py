@@ -51,7 +51,7 @@ def _of_a_run(entry: Entry[Edges]) -> Entry[Scene]:
 
 
 _AGE = Entry("age", "Age of information", draw_age)
-_HEAT = Entry("heat", "Age of information over time", draw_heat)
+HEAT = Entry("heat", "Age of information over time", draw_heat)
 _TIMELINE = Entry("timeline", "Deliveries", draw_timeline)
 _NETWORK = (
     Entry("delays", "One-way delay", draw_delays),
@@ -69,7 +69,7 @@ FIGURES: tuple[Entry[Scene], ...] = (
     Entry("velocities", "Relative velocities", relative_velocities),
     Entry("estimates", "Velocity estimates", velocity_estimates),
     Entry("disagreement", "Disagreement", draw_disagreement),
-    *map(_of_a_run, (_AGE, _HEAT, _TIMELINE, *_NETWORK)),
+    *map(_of_a_run, (_AGE, HEAT, _TIMELINE, *_NETWORK)),
     Entry("parameters", "Parameter estimates", parameter_estimates),
 )
 PACED = (Entry("lateness", "Lateness against the wall clock", draw_lateness),)
@@ -80,4 +80,4 @@ def figures_of(results: Results) -> tuple[Entry[Scene], ...]:
     return FIGURES if results.realtime is None else FIGURES + PACED
 
 
-__all__ = ["CHANNEL", "FIGURES", "PACED", "Entry", "NotDrawn", "Scene", "figures_of"]
+__all__ = ["CHANNEL", "FIGURES", "HEAT", "PACED", "Entry", "NotDrawn", "Scene", "figures_of"]

@@ -17,7 +17,7 @@ from network.freshness import EdgeLog, Span
 from network.messages import Fate, Floats
 from network.units import to_seconds
 
-WINDOW_S = 15.0
+TICKS = 150
 """Of the sawtooth; the whole run is longer than a column is wide."""
 
 NAMED_EDGES = 24
@@ -28,16 +28,13 @@ JOINED_EDGES = 100
 
 
 def draw_age(edges: Edges) -> tuple[Figure, str]:
-    """The age on one edge over time; below, a summary of all edges if there are several.
-
-    The edge is the one that was too old for longest, around its largest age; if there is none, the first.
-    """
+    """The age on the worst edge, around its largest; below, a summary of all edges if there are several."""
     results = edges.results
     need_messages(edges)
     bounded = any(results.age_bound(link) is not None for link in range(len(edges)))
-    worst = edges.worst_first[0]
-    link = worst if len(edges.breaks[worst]) else 0
-    text = f"On edge {edges.name(link)}; it drops at every arrival of a fresher sample."
+    link = edges.worst_first[0]
+    on = "On edge" if len(edges) == 1 else "On the worst edge,"
+    text = f"{on} {edges.name(link)}, around its largest; it drops at every arrival of a fresher sample."
     if len(edges) == 1:
         figure, (ax,) = style.panels(1, 1.3, lines=0)
         _sawtooth(ax, edges, link)
@@ -75,8 +72,7 @@ def _named(edges: Edges) -> bool:
 
 
 def _sawtooth(axes: Axes, edges: Edges, link: int) -> None:
-    ticks = max(2, round(WINDOW_S * 1e9) // edges.span.period_ns)
-    begin, end = window(edges, link, ticks) if len(edges.breaks[link]) else (0.0, WINDOW_S)
+    begin, end = window(edges, link, TICKS)
     until_ns = min(edges.span.end_ns, round(end * 1e9))
     time, values = sawtooth(edges.logs[link], edges.span, until_ns)
     shown = max(0, int(np.searchsorted(time, begin)) - 1)

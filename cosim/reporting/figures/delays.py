@@ -79,5 +79,5 @@ def _delays(edges: Edges, links: list[int]) -> tuple[Floats, int]:
 
 
 def _names(marks: Floats) -> str:
-    names = ("median", *(f"{q:.0%}" for q in QUANTILES[1:]))
+    names = ("median", *(f"{100 * q:g} %" for q in QUANTILES[1:]))
     return ", ".join(f"{name} {number(float(mark), 's', 3)}" for name, mark in zip(names, marks, strict=True))

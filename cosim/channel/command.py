@@ -1,0 +1,135 @@
+"""`cosim channel`: what it prints and draws."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from cosim.channel import subject as subjects
+from cosim.channel.playing import Played
+from cosim.channel.stating import stated
+from cosim.channel.subject import Subject, Wanted
+from cosim.errors import ConfigError, Problem
+from cosim.recording.manifest import command_line, versions
+from cosim.reporting import network, page
+from cosim.reporting.edges import Edges
+from cosim.reporting.words import Rows
+from cosim.scenario.source import dump
+from cosim.stopping import StopRequest
+from network.units import format_duration
+
+PAGE = "channel.html"
+FOLDER = Path("runs") / "channels"
+
+
+def main(args: argparse.Namespace) -> int:
+    """Play a profile, fit one, list them or explain a parameter, as `args` say; the exit code.
+
+    Raises:
+        ConfigError: everything that is wrong.
+    """
+    if args.list:
+        return _list()
+    if args.profile is None:
+        raise ConfigError([Problem("name a profile, such as wifi_busy; cosim channel --list shows them")])
+    stop = StopRequest()
+    with stop.listening():
+        wanted = Wanted(args.ticks, args.edges, args.period, args.seed, args.size)
+        subject = subjects.find(args.profile, wanted)
+        edges = Edges(Played(subject))
+        _print_table(subject, edges)
+        if not args.report:
+            return 0
+        drawn = draw(subject, edges, args.out or FOLDER / subject.name, stop)
+    if drawn is None:
+        return stop.exit_code
+    print(f"\n{drawn}")
+    return 0
+
+
+def _list() -> int:
+    from cosim.scenario import profiles
+
+    names = profiles.names()
+    width = max(map(len, names))
+    for name in names:
+        profile = profiles.load(profiles.find(name, Path()))
+        print(f"{name:{width}}  {profile.title}")
+    return 0
+
+
+# --- a table for the terminal -----------------------------------------------------------------------------------------
+def _print_table(subject: Subject, edges: Edges) -> None:
+    print(f"{subject.name}{f': {subject.title}' if subject.title else ''}")
+    got = network.measures(edges)
+    for line in sections((("", _setting(subject)), ("As stated", stated(subject)), ("What a controller gets", got))):
+        print(line)
+
+
+def sections(parts: Iterable[tuple[str, Rows]]) -> Iterator[str]:
+    """Lines of tables with their headings; all have their values in one column."""
+    parts = list(parts)
+    width = max(len(label) for _, rows in parts for label, _ in rows)
+    for heading, rows in parts:
+        if heading:
+            yield f"\n{heading}"
+        yield from (f"  {label:{width}}  {value}" for label, value in rows)
+
+
+def _setting(subject: Subject) -> Rows:
+    n = len(subject.links)
+    played = f"{subject.n_ticks} ticks of {format_duration(subject.period_ns)} on {n} edge{'' if n == 1 else 's'}"
+    return [
+        ("Channel", in_one_line(subject.model.as_written())),
+        ("Played", f"{played}, seed {subject.seed}, messages of {subject.size} B"),
+    ]
+
+
+def in_one_line(tree: Any) -> str:
+    """YAML in flow style, as people write a short mapping."""
+    if isinstance(tree, dict):
+        return "{" + ", ".join(f"{key}: {in_one_line(value)}" for key, value in tree.items()) + "}"
+    if isinstance(tree, list):
+        return "[" + ", ".join(in_one_line(value) for value in tree) + "]"
+    return dump(tree).removesuffix("...\n").strip()
+
+
+# --- a page -----------------------------------------------------------------------------------------------------------
+def draw(subject: Subject, edges: Edges, folder: Path, stop_requested: StopRequest) -> Path | None:
+    """The page and its figures; None if it was stopped before they were there.
+
+    Raises:
+        ConfigError: the folder cannot be written.
+    """
+    from cosim.reporting.figures import CHANNEL, HEAT
+
+    entries = (*CHANNEL, HEAT) if len(edges) > 1 else CHANNEL
+    return page.write(
+        folder / PAGE,
+        "channel.html.jinja",
+        entries,
+        edges,
+        lambda: _facts(subject, edges),
+        stop_requested=stop_requested,
+    )
+
+
+def _facts(subject: Subject, edges: Edges) -> dict[str, Any]:
+    several = len(edges) > 1
+    return {
+        "title": subject.title or subject.name,
+        "name": subject.name,
+        "source": subject.source,
+        "profile": dump({"channel": subject.model.as_written()}),
+        "setting": _setting(subject)[1:],
+        "stated": stated(subject),
+        "measures": network.measures(edges),
+        "freshness": network.freshness_table(edges) if several else None,
+        "traffic": network.traffic_table(edges) if several else None,
+        "provenance": [
+            ("Command", " ".join(command_line())),
+            ("Versions", ", ".join(f"{name} {version}" for name, version in versions().items())),
+        ],
+    }
