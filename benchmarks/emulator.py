@@ -27,8 +27,11 @@ PERIOD_NS = 100_000_000
 LAYOUT = MessageLayout(("p", "v_hat"), (2, 2))
 MODELS: dict[str, ChannelModel] = {
     "window": Window.model_validate({"depth": 10, "delay": ["150 ms", "250 ms"]}),
-    "delay": Netem.model_validate({"delay": ["10 ms", "330 ms"], "loss": "2 %"}),
+    "delay": Netem.model_validate({"delay": "20 ms"}),
+    "jitter, loss": Netem.model_validate({"delay": ["10 ms", "330 ms"], "loss": "2 %"}),
+    "gemodel": Netem.model_validate({"delay": "20 ms", "loss": {"gemodel": ["1 %", "20 %"]}}),
 }
+MIX = "mix of these"
 
 
 class MessageLoop:
@@ -78,8 +81,9 @@ def network(n_agents: int, n_neighbours: int) -> Links:
 
 
 def opened(links: Links, model: str) -> Callable[[int, Floats], int]:
-    """A fresh emulator with one profile, as a function that counts the fates."""
-    emulator = Emulator(links, MODELS, [model] * len(links), LAYOUT, 1, PERIOD_NS)
+    """A fresh emulator, as a function that counts the fates."""
+    names = [*MODELS] if model == MIX else [model]
+    emulator = Emulator(links, MODELS, [names[i % len(names)] for i in range(len(links))], LAYOUT, 1, PERIOD_NS)
     return lambda tick, values: len(emulator.emulate(tick, values).fates)
 
 
@@ -103,9 +107,9 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=5)
     repeat = parser.parse_args().repeat
     print(f"{'edges':>7} {'agents':>7} {'channel':>14} {'µs/tick':>10} {'µs/message':>11}")
-    for n_agents, n_neighbours, ticks in ((10, 2, 640), (100, 10, 160), (1000, 10, 24)):
+    for n_agents, n_neighbours, ticks in ((10, 2, 640), (1000, 2, 64), (1000, 10, 24), (4000, 10, 8)):
         links = network(n_agents, n_neighbours)
-        results = {name: measure(opened(links, name), n_agents, ticks, repeat) for name in MODELS}
+        results = {name: measure(opened(links, name), n_agents, ticks, repeat) for name in (*MODELS, MIX)}
         loop = MessageLoop(links, 10, 150_000_000, 250_000_000)
         results["window, loop"] = measure(loop.emulate, n_agents, ticks, repeat)
         for name, (per_tick, per_message) in results.items():

@@ -8,9 +8,12 @@ tick, so that no edge's fate depends on another's. To add one, write the class a
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from network.draws import Draws
@@ -35,7 +38,55 @@ class Transmission:
 
     def with_delay(self, delay_ns: Ints) -> Transmission:
         """The same messages, with other delays."""
-        return replace(self, delay_ns=delay_ns)
+        return Transmission(self.link, self.stamp, delay_ns, self.copy)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What left at several ticks in a row, by rising tick among messages of the same `copy`.
+
+    Attributes:
+        ticks: at which.
+        sent: (n,) the tick at which each message left.
+        link, stamp, delay_ns, copy: (n,) those of `Transmission`.
+        whole: every edge sent one message at every tick, none of them twice, by tick and then by edge: columns are the
+            rows of a (ticks, edges) table.
+    """
+
+    ticks: range
+    sent: Ints
+    link: Ints
+    stamp: Ints
+    delay_ns: Ints
+    copy: Ints
+    whole: bool = False
+
+    @staticmethod
+    def of(ticks: range, sent: Sequence[Transmission], whole: bool = False) -> Batch:
+        """What left at each of the ticks, put together."""
+        link, stamp, delay_ns, copy = (
+            np.concatenate([getattr(each, name) for each in sent]) for name in ("link", "stamp", "delay_ns", "copy")
+        )
+        left = np.repeat(np.asarray(ticks), [len(each.link) for each in sent])
+        return Batch(ticks, left, link, stamp, delay_ns, copy, whole)
+
+    def by_tick(self) -> Iterator[Transmission]:
+        """What left at each of the ticks, by copy."""
+        columns = [self.link, self.stamp, self.delay_ns, self.copy]
+        if len(self.ticks) == 1:
+            yield Transmission(*columns)
+            return
+        sent = self.sent
+        if self.copy.any():
+            order = np.argsort(sent, kind="stable")
+            sent, columns = sent[order], [column[order] for column in columns]
+        ends = np.searchsorted(sent, range(self.ticks.start, self.ticks.stop + 1)).tolist()
+        for begin, end in pairwise(ends):
+            yield Transmission(*(column[begin:end] for column in columns))
+
+    def with_delay(self, delay_ns: Ints) -> Batch:
+        """The same messages, with other delays."""
+        return Batch(self.ticks, self.sent, self.link, self.stamp, delay_ns, self.copy, self.whole)
 
 
 @dataclass(frozen=True)
@@ -68,6 +119,10 @@ class Channel(ABC):
     @abstractmethod
     def transmit(self, tick: int) -> Transmission:
         """What leaves at `tick`. Called once per tick, in order from 0."""
+
+    def transmit_many(self, ticks: range) -> Batch:
+        """What leaves at several ticks in a row: as `transmit` at each, which a channel may do at less cost."""
+        return Batch.of(ticks, [self.transmit(tick) for tick in ticks])
 
 
 class ChannelModel(BaseModel, ABC):

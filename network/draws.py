@@ -102,6 +102,22 @@ class Draws:
         uniforms: Floats = cached[1][row]
         return uniforms
 
+    def uniforms(self, purpose: str, ticks: range) -> Floats:
+        """(len(ticks), n) `uniform` of ticks in a row. Read only."""
+        rows, tick = [], ticks.start
+        while tick < ticks.stop:
+            self.uniform(purpose, tick)
+            index, row = divmod(tick, self._block)
+            rows.append(self._blocks[purpose][1][row : row + ticks.stop - tick])
+            tick = (index + 1) * self._block
+        return rows[0] if len(rows) == 1 else np.concatenate(rows or [np.empty((0, len(self._key[0])))])
+
+    def at(self, purpose: str, tick: Ints, edge: Ints) -> Floats:
+        """(m,) `uniform` of some edges (indices), each at a tick of its own."""
+        counter = (tick // 2).astype(np.uint64), _words(_digest(8, purpose))
+        even, odd = threefry2x64(counter, (self._key[0][edge], self._key[1][edge]))
+        return _unit(np.where(tick % 2 == 0, even, odd))
+
     def integers(self, purpose: str, tick: int, low: int, high: int) -> Ints:
         """(n,) int64, uniform over {low, …, high - 1}.
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from pydantic import Field, model_validator
 
-from network.channel import Channel, ChannelModel, Setting, Transmission, ceil_to_tick
+from network.channel import Batch, Channel, ChannelModel, Setting, Transmission, ceil_to_tick
 from network.impairments.delay import Delay, Reorder
 from network.impairments.duplicate import Duplicate
 from network.impairments.impairment import Impairment, Stage
@@ -82,25 +82,38 @@ class Profile(ChannelModel):
         return own + ceil_to_tick(sum(filter(None, longest)), period_ns)
 
 
-class EverySample(Channel):
+class Source(Channel):
+    """A channel that does several ticks at once."""
+
+    def transmit(self, tick: int) -> Transmission:
+        (sent,) = self.transmit_many(range(tick, tick + 1)).by_tick()
+        return sent
+
+    @abstractmethod
+    def transmit_many(self, ticks: range) -> Batch: ...
+
+
+class EverySample(Source):
     """Every sample leaves at once."""
 
     def __init__(self, n_links: int) -> None:
         self._links = np.arange(n_links)
-        self._zeros = np.zeros(n_links, np.int64)
 
-    def transmit(self, tick: int) -> Transmission:
-        return Transmission(self._links, self._zeros + tick, self._zeros, self._zeros)
+    def transmit_many(self, ticks: range) -> Batch:
+        n = len(self._links)
+        sent = np.repeat(np.asarray(ticks), n)
+        zeros = np.zeros(len(sent), np.int64)
+        return Batch(ticks, sent, np.tile(self._links, len(ticks)), sent, zeros, zeros, whole=True)
 
 
-class _Pipeline(Channel):
+class _Pipeline(Source):
     def __init__(self, source: Channel, stages: Sequence[Stage]) -> None:
         self.history = source.history
         self._source = source
         self._stages = stages
 
-    def transmit(self, tick: int) -> Transmission:
-        messages = self._source.transmit(tick)
+    def transmit_many(self, ticks: range) -> Batch:
+        batch = self._source.transmit_many(ticks)
         for stage in self._stages:
-            messages = stage.apply(tick, messages)
-        return messages
+            batch = stage.apply(batch)
+        return batch

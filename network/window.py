@@ -27,12 +27,15 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from network.channel import Channel, Setting, Transmission
+from network.channel import Batch, Channel, Setting
 from network.draws import Draws
 from network.impairments.delay import Delay
-from network.profile import Profile
+from network.messages import Ints
+from network.profile import Profile, Source
 
-MAX_DEPTH = 10_000  # the state has this many bytes per edge
+MAX_DEPTH = 10_000  # the state has two to four times as many bytes per edge
+_TICKS_AT_ONCE = 64
+_PICKS_AT_ONCE = 2**14
 
 
 class Window(Profile):
@@ -57,23 +60,46 @@ class Window(Profile):
         return self.depth * period_ns
 
 
-class _WindowChannel(Channel):
+class _WindowChannel(Source):
     def __init__(self, n_links: int, depth: int, draws: Draws) -> None:
         self.history = depth
         self._draws = draws
-        self._links = np.arange(n_links)
-        # sent[s % (depth + 1), link]: whether the sample of tick s left; a row is reused once no draw can pick s again.
-        self._sent = np.zeros((depth + 1, n_links), np.bool_)
+        self._n = n_links
+        self._ticks_at_once = max(1, min(_TICKS_AT_ONCE, _PICKS_AT_ONCE // max(1, n_links)))
+        # sent[s & mask, link]: whether the sample of tick s left. Rows are reused once no draw can pick s again.
+        self._rows = 1 << (depth + self._ticks_at_once - 1).bit_length()
+        self._sent = np.zeros((self._rows, n_links), np.bool_)
+        self._first = np.zeros(self._rows * n_links, np.uint8)  # of the ticks done at once, the first that picked it
 
-    def transmit(self, tick: int) -> Transmission:
-        rows = self.history + 1
-        self._sent[tick % rows] = False
-        picked = tick - self._draws.integers("window", tick, 0, rows)
-        row = picked % rows
-        leaves = ~self._sent[row, self._links]
-        if tick < self.history:
-            leaves &= picked >= 0
-        link = np.flatnonzero(leaves)
-        self._sent[row[link], link] = True
+    def transmit_many(self, ticks: range) -> Batch:
+        step = self._ticks_at_once
+        parts = [self._transmit(range(i, min(i + step, ticks.stop))) for i in range(ticks.start, ticks.stop, step)]
+        if len(parts) == 1:
+            return parts[0]
+        columns = (np.concatenate([getattr(part, name) for part in parts]) for name in ("sent", "link", "stamp"))
+        return self._at_once(ticks, *columns)
+
+    def _transmit(self, ticks: range) -> Batch:
+        n = self._n
+        for row in range(len(ticks)):
+            self._sent[(ticks.start + row) & (self._rows - 1)] = False
+        back = (self._draws.uniforms("window", ticks) * (self.history + 1)).astype(np.int64)
+        picked = (np.asarray(ticks)[:, None] - back).reshape(-1)
+        cell = (picked & (self._rows - 1)) * n + np.tile(np.arange(n), len(ticks))
+        which = np.repeat(np.arange(len(ticks), dtype=np.uint8), n)
+        possible = None if ticks.start >= self.history else np.flatnonzero(picked >= 0)
+        if possible is not None:
+            cell, which = cell[possible], which[possible]
+        # Of several ticks that pick one sample, the first sends it: assigned last, it holds.
+        self._first[cell[::-1]] = which[::-1]
+        sent = self._sent.reshape(-1)
+        leaves = np.flatnonzero((self._first[cell] == which) & ~sent[cell])
+        sent[cell[leaves]] = True
+        chosen = leaves if possible is None else possible[leaves]
+        tick, link = np.divmod(chosen, n)
+        return self._at_once(ticks, tick + ticks.start, link, picked[chosen])
+
+    @staticmethod
+    def _at_once(ticks: range, sent: Ints, link: Ints, stamp: Ints) -> Batch:
         zeros = np.zeros(len(link), np.int64)
-        return Transmission(link, picked[link], zeros, zeros)
+        return Batch(ticks, sent, link, stamp, zeros, zeros)

@@ -9,11 +9,23 @@ from typing import Any
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, ValidationError, model_serializer, model_validator
 
-from network.channel import Setting, Transmission
+from network.channel import Batch, Setting, Transmission
 from network.files import file_read_by
 from network.impairments import distributions
-from network.impairments.impairment import Impairment, Part, Stage, Sticky, schema_of, under_way, uniform
-from network.messages import Floats, Ints
+from network.impairments.impairment import (
+    Impairment,
+    Part,
+    Stage,
+    Stepwise,
+    Sticky,
+    schema_of,
+    under_way,
+    under_way_in,
+    uniform,
+    uniforms,
+)
+from network.impairments.order import InOrder
+from network.messages import NEVER, Floats, Ints
 from network.units import Duration, DurationRange, Probability, parse_duration_range, parse_probability
 
 
@@ -94,11 +106,13 @@ class Delay(Impairment):
         return distributions.Quantile(self.distribution, self.time, self.jitter, table)
 
     def open(self, setting: Setting) -> Stage:
-        return _Delay(self, setting, None)
+        return self.open_with(setting, None)
 
     def open_with(self, setting: Setting, reorder: Reorder | None) -> Stage:
         """The live stage, in which some messages go ahead."""
-        return _Delay(self, setting, reorder)
+        if reorder is None and not (self.correlation and self.jitter):
+            return _Delay(self, setting)
+        return _DelayAfterDelay(self, setting, reorder)
 
     def min_delay_ns(self) -> int:
         return self._bound(0, -math.inf, self.min, max)
@@ -122,45 +136,75 @@ class Delay(Impairment):
         return int(whole if cut < 0 else tighter(whole, cut))
 
 
-class _Delay(Stage):
-    def __init__(self, model: Delay, setting: Setting, reorder: Reorder | None) -> None:
+class _Law:
+    """The delay of a message as a function of a number in [0, 1)."""
+
+    def __init__(self, model: Delay) -> None:
         self._fixed = min(max(model.time, model.min), model.time if model.max is None else model.max)
         self._quantile = model.quantile() if model.jitter else None
-        self._even = model.jitter and model.distribution == "uniform" and model.table is None
         self._low = max(model.min, model.time - model.jitter, 0)
         self._high = model.time + model.jitter if model.max is None else min(model.max, model.time + model.jitter)
-        self._even = bool(self._even and model.correlation == 0 and self._low <= self._high)
+        uniform_ = model.jitter and model.distribution == "uniform" and model.table is None
+        self._even = bool(uniform_ and model.correlation == 0 and self._low <= self._high)
         self._min, self._max = model.min, np.iinfo(np.int64).max if model.max is None else model.max
+
+    @property
+    def fixed(self) -> int | None:
+        """The one delay of all messages, if there is one."""
+        return self._fixed if self._quantile is None else None
+
+    def __call__(self, number: Floats) -> Ints:
+        if self._quantile is None:
+            return np.full(len(number), self._fixed, np.int64)
+        if self._even:  # over the whole nanoseconds, both ends included
+            return self._low + (number * (self._high - self._low + 1)).astype(np.int64)
+        return np.clip(np.rint(self._quantile(number)).astype(np.int64), self._min, self._max)
+
+
+class _Delay(Stage):
+    """Delays that do not depend on each other."""
+
+    def __init__(self, model: Delay, setting: Setting) -> None:
+        self._law = _Law(model)
+        self._draws = setting.draws
+        self._in_order = InOrder(setting) if model.fifo else None
+
+    def apply(self, batch: Batch) -> Batch:
+        if self._law.fixed is not None:
+            delay = np.where(batch.delay_ns == NEVER, NEVER, batch.delay_ns + self._law.fixed)
+        else:
+            delay = batch.delay_ns.copy()
+            for copy, which in under_way_in(batch):
+                delay[which] += self._law(uniforms(self._draws, "delay", batch, copy, which))
+        after = batch.with_delay(delay)
+        return after if self._in_order is None else self._in_order.apply(after)
+
+
+class _DelayAfterDelay(Stepwise):
+    """Delays that resemble those of the messages before, or that depend on which of them went ahead."""
+
+    def __init__(self, model: Delay, setting: Setting, reorder: Reorder | None) -> None:
+        self._law = _Law(model)
         self._correlation = model.correlation
         self._draws = setting.draws
-        self._period_ns = setting.period_ns
         self._normal = np.full(len(setting.links), np.nan)
         self._reorder = _Reorder(reorder, setting) if reorder is not None else None
-        self._last = np.zeros(len(setting.links), np.int64) if model.fifo else None
+        self._in_order = InOrder(setting) if model.fifo else None
 
-    def apply(self, tick: int, messages: Transmission) -> Transmission:
+    def apply(self, batch: Batch) -> Batch:
+        after = super().apply(batch)
+        return after if self._in_order is None else self._in_order.apply(after)
+
+    def step(self, tick: int, messages: Transmission) -> Transmission:
         delay = messages.delay_ns.copy()
         for copy, index in under_way(messages):
             link = messages.link[index]
-            own = self._own(tick, copy, link)
+            number = uniform(self._draws, "delay", tick, copy)[link]
+            own = self._law(self._correlated(number, link) if self._correlation else number)
             if self._reorder is not None:
                 own[self._reorder.ahead(tick, copy, link)] = 0
             delay[index] += own
-            if self._last is not None:
-                arrival = np.maximum(tick * self._period_ns + delay[index], self._last[link])
-                self._last[link] = arrival
-                delay[index] = arrival - tick * self._period_ns
         return messages.with_delay(delay)
-
-    def _own(self, tick: int, copy: int, link: Ints) -> Ints:
-        if self._quantile is None:
-            return np.full(len(link), self._fixed, np.int64)
-        number = uniform(self._draws, "delay", tick, copy)[link]
-        if self._even:  # over the whole nanoseconds, both ends included
-            return self._low + (number * (self._high - self._low + 1)).astype(np.int64)
-        if self._correlation:
-            number = self._correlated(number, link)
-        return np.clip(np.rint(self._quantile(number)).astype(np.int64), self._min, self._max)
 
     def _correlated(self, number: Floats, link: Ints) -> Floats:
         """Uniform numbers whose normal scores are an autoregressive sequence: the distribution stays what it is."""

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from network.channel import Setting, Transmission
-from network.impairments.impairment import Impairment, Stage, Sticky, schema_of
+from network.impairments.impairment import Impairment, Stage, Stepwise, Sticky, schema_of
 from network.messages import NEVER
 from network.units import Probability, parse_probability
 
@@ -33,12 +33,12 @@ class Duplicate(Impairment):
         return _Duplicate(self, setting)
 
 
-class _Duplicate(Stage):
+class _Duplicate(Stepwise):
     def __init__(self, model: Duplicate, setting: Setting) -> None:
         self._rate = model.random
         self._numbers = Sticky(setting, "duplicate", model.correlation)
 
-    def apply(self, tick: int, messages: Transmission) -> Transmission:
+    def step(self, tick: int, messages: Transmission) -> Transmission:
         alive = np.flatnonzero(messages.delay_ns != NEVER)
         twice = alive[self._numbers.next(tick, 0, messages.link[alive]) < self._rate]
         copy = np.concatenate((messages.copy, np.ones(len(twice), np.int64)))

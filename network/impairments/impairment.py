@@ -23,7 +23,7 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
-from network.channel import Setting, Transmission
+from network.channel import Batch, Setting, Transmission
 from network.draws import Draws
 from network.messages import NEVER, Floats, Ints
 
@@ -57,14 +57,25 @@ class Stage(ABC):
     """A live impairment over the `n` edges of a profile."""
 
     @abstractmethod
-    def apply(self, tick: int, messages: Transmission) -> Transmission:
-        """What becomes of a tick's messages. Called once per tick, in order from 0.
+    def apply(self, batch: Batch) -> Batch:
+        """What becomes of the messages of several ticks. Called for all ticks in order from 0, however many at once.
 
         Args:
-            tick: at which they left.
-            messages: ordered by copy, then by edge; at most one per edge and copy. `delay_ns` is the time from the tick
-                until they reach this stage.
+            batch: its `delay_ns` is the time from the tick until a message reaches this stage; `NEVER` if it does not.
+                There is at most one message per tick, edge and copy.
         """
+
+
+class Stepwise(Stage):
+    """A stage in which a message depends on those before it: it is asked tick by tick."""
+
+    def apply(self, batch: Batch) -> Batch:
+        steps = [self.step(tick, sent) for tick, sent in zip(batch.ticks, batch.by_tick(), strict=True)]
+        return Batch.of(batch.ticks, steps, whole=batch.whole and sum(len(s.link) for s in steps) == len(batch.link))
+
+    @abstractmethod
+    def step(self, tick: int, messages: Transmission) -> Transmission:
+        """What becomes of a tick's messages, which are ordered by copy, then by edge."""
 
 
 class Impairment(Part, ABC):
@@ -83,6 +94,10 @@ class Impairment(Part, ABC):
         return 0
 
 
+Selection = Ints | slice
+"""Some messages, or all of them."""
+
+
 def under_way(messages: Transmission) -> Iterator[tuple[int, Ints]]:
     """Copy by copy, the messages that are not lost: the copy's number, and indices into the arrays."""
     alive = messages.delay_ns != NEVER
@@ -93,9 +108,33 @@ def under_way(messages: Transmission) -> Iterator[tuple[int, Ints]]:
         yield copy, np.flatnonzero(alive & (messages.copy == copy))
 
 
+def under_way_in(batch: Batch) -> Iterator[tuple[int, Selection]]:
+    """As `under_way`, in several ticks."""
+    alive = batch.delay_ns != NEVER
+    if batch.whole or not batch.copy.any():
+        yield 0, slice(None) if alive.all() else np.flatnonzero(alive)
+        return
+    for copy in range(int(batch.copy.max()) + 1):
+        yield copy, np.flatnonzero(alive & (batch.copy == copy))
+
+
 def uniform(draws: Draws, purpose: str, tick: int, copy: int) -> Floats:
     """(n,) one number in [0, 1) per edge for a message, or for a duplicate of it."""
-    return draws.uniform(f"{purpose}/{copy}" if copy else purpose, tick)
+    return draws.uniform(of_copy(purpose, copy), tick)
+
+
+def of_copy(purpose: str, copy: int) -> str:
+    """The purpose of a draw for a message, or for a duplicate of it."""
+    return f"{purpose}/{copy}" if copy else purpose
+
+
+def uniforms(draws: Draws, purpose: str, batch: Batch, copy: int, which: Selection) -> Floats:
+    """(m,) `uniform` of some messages of one copy number."""
+    table = draws.uniforms(of_copy(purpose, copy), batch.ticks)
+    if batch.whole:
+        return table.reshape(-1)[which]
+    row = batch.sent[which] - batch.ticks.start
+    return np.asarray(table.reshape(-1).take(row * table.shape[1] + batch.link[which]))
 
 
 class Sticky:

@@ -7,14 +7,25 @@ their stationary distribution instead of the good state, so that the stated rate
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
-from network.channel import Setting, Transmission
-from network.impairments.impairment import Impairment, Stage, Sticky, schema_of, under_way, uniform
+from network.channel import Batch, Setting, Transmission
+from network.impairments.impairment import (
+    Impairment,
+    Stage,
+    Stepwise,
+    Sticky,
+    schema_of,
+    under_way,
+    under_way_in,
+    uniform,
+    uniforms,
+)
 from network.messages import NEVER, Floats, Ints
 from network.units import Probability, parse_probability
 
@@ -184,27 +195,44 @@ class Loss(Impairment):
 
     def open(self, setting: Setting) -> Stage:
         model = self.state or self.gemodel
-        return model.open(setting) if model is not None else _Random(self.random or 0.0, self.correlation, setting)
+        if model is not None:
+            return model.open(setting)
+        if self.correlation:
+            return _Correlated(self.random or 0.0, self.correlation, setting)
+        return _Random(self.random or 0.0, setting)
 
     def max_delay_ns(self) -> int | None:
         return 0 if self.loss_rate() == 0 else None
 
 
-class _Losses(Stage):
+class _Random(Stage):
+    def __init__(self, rate: float, setting: Setting) -> None:
+        self._rate = rate
+        self._draws = setting.draws
+
+    def apply(self, batch: Batch) -> Batch:
+        delay = batch.delay_ns.copy()
+        for copy, which in under_way_in(batch):
+            lost = uniforms(self._draws, "loss", batch, copy, which) < self._rate
+            delay[which] = np.where(lost, NEVER, delay[which])
+        return batch.with_delay(delay)
+
+
+class _Losses(Stepwise):
     """Loses messages one copy after the other."""
 
-    def apply(self, tick: int, messages: Transmission) -> Transmission:
+    def step(self, tick: int, messages: Transmission) -> Transmission:
         delay = messages.delay_ns.copy()
         for copy, index in under_way(messages):
             delay[index[self._lost(tick, copy, messages.link[index])]] = NEVER
         return messages.with_delay(delay)
 
+    @abstractmethod
     def _lost(self, tick: int, copy: int, link: Ints) -> NDArray[np.bool_]:
         """Which of the next messages, one each of the edges `link`, are lost."""
-        raise NotImplementedError
 
 
-class _Random(_Losses):
+class _Correlated(_Losses):
     def __init__(self, rate: float, correlation: float, setting: Setting) -> None:
         self._rate = rate
         self._numbers = Sticky(setting, "loss", correlation)
@@ -237,11 +265,36 @@ class _GilbertElliott(_Losses):
     def __init__(self, model: GilbertElliott, setting: Setting) -> None:
         self._leave = np.array([model.p, model.recovery])
         self._loss = np.array([model.good, model.bad])
-        self._bad = (setting.draws.uniform("loss start", 0) < model.share_of_bad()).astype(np.int64)
+        self._bad = setting.draws.uniform("loss start", 0) < model.share_of_bad()
         self._draws = setting.draws
 
+    def apply(self, batch: Batch) -> Batch:
+        if not batch.whole:
+            return super().apply(batch)
+        table = (len(batch.ticks), len(self._bad))
+        alive = batch.delay_ns.reshape(table) != NEVER
+        bad = self._states(batch.ticks, alive)
+        lost = alive & (self._draws.uniforms("loss", batch.ticks) < np.where(bad, self._loss[1], self._loss[0]))
+        return batch.with_delay(np.where(lost.reshape(-1), NEVER, batch.delay_ns))
+
+    def _states(self, ticks: range, alive: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(ticks, edges) whether each message meets the bad state."""
+        number = self._draws.uniforms("loss state", ticks)
+        p, r = self._leave.tolist()
+        # A number below both probabilities changes either state; one between them only that which is easier to leave.
+        swaps = alive & (number < min(p, r))
+        stays = ~alive | (number >= max(p, r)) | swaps
+        bad = np.empty_like(alive)
+        state = self._bad
+        for row in range(len(ticks)):
+            bad[row] = state
+            state = state ^ swaps[row]
+            state = state | ~stays[row] if p > r else state & stays[row]
+        self._bad = state
+        return bad
+
     def _lost(self, tick: int, copy: int, link: Ints) -> NDArray[np.bool_]:
-        bad = self._bad[link]
+        bad = self._bad[link].astype(np.int64)
         leaves = uniform(self._draws, "loss state", tick, copy)[link] < self._leave[bad]
-        self._bad[link] = bad ^ leaves
+        self._bad[link] ^= leaves
         return np.asarray(uniform(self._draws, "loss", tick, copy)[link] < self._loss[bad])

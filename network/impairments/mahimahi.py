@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 
 from network.channel import Setting, Transmission
 from network.files import file_read_by
-from network.impairments.impairment import Impairment, Stage, under_way
+from network.impairments.impairment import Impairment, Stage, Stepwise, under_way
 from network.messages import NEVER, Ints
 from network.units import Duration, Size
 
@@ -82,7 +82,7 @@ class Mahimahi(Impairment):
         return None
 
 
-class _Mahimahi(Stage):
+class _Mahimahi(Stepwise):
     """Per edge: the next opportunity that has room, how much, and when the last messages left."""
 
     def __init__(self, model: Mahimahi, setting: Setting) -> None:
@@ -100,7 +100,7 @@ class _Mahimahi(Stage):
         self._departures = None if model.limit is None else np.full((n, model.limit), NEVER, np.int64)
         self._count = np.zeros(n, np.int64)
 
-    def apply(self, tick: int, messages: Transmission) -> Transmission:
+    def step(self, tick: int, messages: Transmission) -> Transmission:
         delay = messages.delay_ns.copy()
         now = tick * self._period_ns
         for _, offered in under_way(messages):

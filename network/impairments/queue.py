@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from network.channel import Setting, Transmission
-from network.impairments.impairment import Impairment, Stage, schema_of, under_way
+from network.impairments.impairment import Impairment, Stage, Stepwise, schema_of, under_way
 from network.messages import NEVER
 from network.units import BitRate, Size, parse_bit_rate
 
@@ -49,14 +49,14 @@ class Rate(Impairment):
         return None
 
 
-class _Rate(Stage):
+class _Rate(Stepwise):
     def __init__(self, model: Rate, setting: Setting) -> None:
         self._period_ns = setting.period_ns
         self._service_ns = model.transmission_ns(setting.message_bytes)
         self._limit = model.limit
         self._free_ns = np.zeros(len(setting.links), np.int64)  # when the link has sent all it was given
 
-    def apply(self, tick: int, messages: Transmission) -> Transmission:
+    def step(self, tick: int, messages: Transmission) -> Transmission:
         delay = messages.delay_ns.copy()
         now = tick * self._period_ns
         for _, offered in under_way(messages):

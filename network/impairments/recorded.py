@@ -10,9 +10,10 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field, model_validator
 
-from network.channel import Setting, Transmission
+from network.channel import Batch, Setting
 from network.files import file_read_by
-from network.impairments.impairment import Impairment, Stage, under_way, uniform
+from network.impairments.impairment import Impairment, Stage, under_way_in, uniforms
+from network.impairments.order import InOrder
 from network.messages import NEVER, Floats, Ints
 from network.units import Duration, parse_duration, parse_probability
 
@@ -99,26 +100,20 @@ class Recorded(Impairment):
 
 class _Recorded(Stage):
     def __init__(self, model: Recorded, setting: Setting) -> None:
-        n = len(setting.links)
         self._recording = read_recording(Path(model.file))
         self._cycle = int(self._recording.time_ns[-1])
-        phase = setting.draws.uniform("recording", 0) if model.spread else np.zeros(n)
+        phase = setting.draws.uniform("recording", 0) if model.spread else np.zeros(len(setting.links))
         self._phase = model.start + (phase * self._cycle).astype(np.int64)
         self._draws = setting.draws
         self._period_ns = setting.period_ns
-        self._last = np.zeros(n, np.int64) if model.fifo else None
+        self._in_order = InOrder(setting) if model.fifo else None
 
-    def apply(self, tick: int, messages: Transmission) -> Transmission:
-        delay = messages.delay_ns.copy()
-        now = tick * self._period_ns
-        for copy, index in under_way(messages):
-            link = messages.link[index]
-            since = (now + delay[index] + self._phase[link]) % self._cycle
-            line = np.searchsorted(self._recording.time_ns, since, side="right") - 1
-            arrival = now + delay[index] + self._recording.delay_ns[line]
-            lost = uniform(self._draws, "recorded loss", tick, copy)[link] < self._recording.loss[line]
-            if self._last is not None:
-                arrival = np.where(lost, arrival, np.maximum(arrival, self._last[link]))
-                self._last[link] = np.where(lost, self._last[link], arrival)
-            delay[index] = np.where(lost, NEVER, arrival - now)
-        return messages.with_delay(delay)
+    def apply(self, batch: Batch) -> Batch:
+        delay = batch.delay_ns.copy()
+        for copy, which in under_way_in(batch):
+            since = batch.sent[which] * self._period_ns + delay[which] + self._phase[batch.link[which]]
+            line = np.searchsorted(self._recording.time_ns, since % self._cycle, side="right") - 1
+            lost = uniforms(self._draws, "recorded loss", batch, copy, which) < self._recording.loss[line]
+            delay[which] = np.where(lost, NEVER, delay[which] + self._recording.delay_ns[line])
+        after = batch.with_delay(delay)
+        return after if self._in_order is None else self._in_order.apply(after)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
-from network.channel import Setting, Transmission
-from network.impairments.impairment import Impairment, Stage, under_way
+from network.channel import Batch, Setting, Transmission
+from network.impairments.impairment import Impairment, Stage, Stepwise, under_way
 from network.messages import NEVER, Ints
 from network.units import Duration, PositiveDuration, format_duration, parse_duration
 
@@ -109,18 +109,29 @@ class Schedule(Impairment):
 class _Schedule(Stage):
     def __init__(self, model: Schedule, setting: Setting) -> None:
         self._period_ns = setting.period_ns
-        self._drop = np.array(model.drop, np.int64)
         self._model = model
+        self._drop = _Drop(model.drop, setting) if model.drop else None
+
+    def apply(self, batch: Batch) -> Batch:
+        if self._drop is not None:
+            batch = self._drop.apply(batch)
+        down = self._model.is_down(batch.sent * self._period_ns + batch.delay_ns)
+        return batch.with_delay(np.where(down, NEVER, batch.delay_ns))
+
+
+class _Drop(Stepwise):
+    """Counts the messages of each edge."""
+
+    def __init__(self, ordinals: list[int], setting: Setting) -> None:
+        self._ordinals = np.array(ordinals, np.int64)
         self._count = np.zeros(len(setting.links), np.int64)
 
-    def apply(self, tick: int, messages: Transmission) -> Transmission:
+    def step(self, tick: int, messages: Transmission) -> Transmission:  # noqa: ARG002 - whatever the tick
         delay = messages.delay_ns.copy()
         for _, index in under_way(messages):
             link = messages.link[index]
             self._count[link] += 1
-            lost = np.isin(self._count[link], self._drop) if len(self._drop) else np.zeros(len(link), np.bool_)
-            lost |= self._model.is_down(tick * self._period_ns + delay[index])
-            delay[index[lost]] = NEVER
+            delay[index[np.isin(self._count[link], self._ordinals)]] = NEVER
         return messages.with_delay(delay)
 
 

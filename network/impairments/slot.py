@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from network.channel import Setting, Transmission
-from network.impairments.impairment import Impairment, Stage, schema_of, under_way
+from network.impairments.impairment import Impairment, Stage, Stepwise, schema_of, under_way
 from network.messages import Ints
 from network.units import DurationRange
 
@@ -47,7 +47,7 @@ class Slot(Impairment):
         return self.every[1] if self.packets is None else None
 
 
-class _Slot(Stage):
+class _Slot(Stepwise):
     """Per edge: when the current slot began, its number, and how many messages it has taken."""
 
     def __init__(self, model: Slot, setting: Setting) -> None:
@@ -60,7 +60,7 @@ class _Slot(Stage):
         self._number = np.zeros(n, np.int64)
         self._taken = np.zeros(n, np.int64)
 
-    def apply(self, tick: int, messages: Transmission) -> Transmission:
+    def step(self, tick: int, messages: Transmission) -> Transmission:
         # In the order of arrival on each edge, so that a slot is never asked for again once it has passed.
         delay = messages.delay_ns.copy()
         now = tick * self._period_ns
@@ -88,9 +88,5 @@ class _Slot(Stage):
     def _interval(self, link: Ints) -> Ints:
         if self._low == self._high:
             return np.full(len(link), self._low, np.int64)
-        numbers = self._number[link]
-        drawn = np.empty(len(link))
-        for number in np.unique(numbers).tolist():
-            here = numbers == number
-            drawn[here] = self._draws.uniform("slot", number)[link[here]]
+        drawn = self._draws.at("slot", self._number[link], link)
         return self._low + (drawn * (self._high - self._low + 1)).astype(np.int64)

@@ -98,6 +98,17 @@ def test_what_a_draw_is_keyed_by_changes_it() -> None:
     assert len(set(values)) == len(values)
 
 
+def test_several_ticks_at_once_and_one_of_each_edge_are_the_same_draws() -> None:
+    n = 3000
+    draws, alone = (Draws(3, [f"s{i}" for i in range(n)], ["r"] * n) for _ in range(2))
+    for ticks in (range(1), range(1, 20), range(3, 9), range(40, 41)):
+        expected = [alone.uniform("delay", tick).tolist() for tick in ticks]
+        assert draws.uniforms("delay", ticks).tolist() == expected
+    tick, edge = np.array([0, 7, 300, 7]), np.array([5, 5, 2999, 0])
+    expected = [alone.uniform("delay", t)[e] for t, e in zip(tick.tolist(), edge.tolist(), strict=True)]
+    assert draws.at("delay", tick, edge).tolist() == expected
+
+
 def test_no_edges() -> None:
     assert Draws(1, [], []).uniform("delay", 5).shape == (0,)
 

@@ -215,6 +215,18 @@ def test_samples_may_lag_by_the_slack(profile: str, slack: int) -> None:
             assert (got.values == expected.values).all()
 
 
+def test_samples_may_be_ahead() -> None:
+    links = dense_links(4, 2)
+    prompt, ahead = (emulator_of(links, MODELS["paper"]) for _ in range(2))
+    published = 0
+    for tick in range(90):
+        while published < min(90, tick + tick % 40 + 1):
+            ahead.publish(published, _sample(published, 4))
+            published += 1
+        early, late = ahead.exchange(tick), prompt.emulate(tick, _sample(tick, 4))
+        assert [d.values.tolist() for d in early.mail] == [d.values.tolist() for d in late.mail]
+
+
 def test_one_tick_more_lag_than_the_slack_is_refused() -> None:
     emulator = emulator_of(dense_links(3, 1), MODELS["paper"])
     emulator.exchange(0)

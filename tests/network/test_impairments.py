@@ -14,13 +14,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 from scipy import stats
 
-from network.channel import Setting, Transmission
+from network.channel import ChannelModel, Setting, Transmission
 from network.draws import Draws
 from network.impairments.mahimahi import OPPORTUNITY_BYTES
 from network.messages import NEVER
+from network.models import AnyChannelModel
 from network.netem import Netem
 from tests.network.networks import T, dense_links, links_of
 
@@ -28,6 +29,7 @@ FALSE_ALARM = 1e-6
 SIGMAS = float(-stats.norm.ppf(FALSE_ALARM / 2))
 MS = 1_000_000
 EDGES, TICKS = 300, 1000
+ANY: TypeAdapter[ChannelModel] = TypeAdapter(AnyChannelModel)
 
 
 def _setting(edges: int, size: int = 64, seed: int = 1) -> Setting:
@@ -330,6 +332,33 @@ def test_an_edge_does_not_depend_on_the_others() -> None:
             mine, same = all_of_them.link == link, few.link == link
             assert all_of_them.delay_ns[mine].tolist() == few.delay_ns[same].tolist()
             assert all_of_them.copy[mine].tolist() == few.copy[same].tolist()
+
+
+ONE_BY_ONE: list[dict[str, Any]] = [
+    EVERYTHING,
+    {"schedule": {"drop": [2, "5..9"], "down": [["1 s", "2 s"]]}, "loss": {"gemodel": ["5 %", "30 %", "70 %", "1 %"]}},
+    {"loss": {"gemodel": ["60 %", "70 %"]}, "delay": {"time": "300 ms", "jitter": "290 ms", "fifo": True}},
+    {"loss": {"state": ["5 %", "30 %", "10 %", "40 %", "1 %"]}, "delay": {"time": "90 ms", "jitter": "50 ms"}},
+    {"loss": {"random": "9 %", "correlation": "50 %"}, "duplicate": "30 %", "slot": ["20 ms", "260 ms"]},
+    {"loss": "20 %", "delay": {"time": "40 ms", "jitter": "30 ms", "distribution": "normal", "correlation": "20 %"}},
+    {"model": "window", "depth": 3, "delay": ["10 ms", "30 ms"], "loss": {"gemodel": ["5 %", "30 %"]}},
+    {"model": "window", "depth": 70, "delay": {"time": "300 ms", "jitter": "290 ms", "fifo": True}},
+]
+
+
+@pytest.mark.parametrize("written", ONE_BY_ONE)
+@pytest.mark.parametrize("edges", [3, 700])
+def test_many_ticks_at_once_are_the_same_ticks_one_by_one(written: dict[str, Any], edges: int) -> None:
+    model = ANY.validate_python({"model": "netem"} | written)
+    single, many = (model.open(_setting(edges)) for _ in range(2))
+    tick = 0
+    for n_ticks in (1, 64, 2, 3, 5, 80, 1):
+        ticks = range(tick, tick + n_ticks)
+        for sent, tick in zip(many.transmit_many(ticks).by_tick(), ticks, strict=True):
+            expected = single.transmit(tick)
+            for name in ("link", "stamp", "delay_ns", "copy"):
+                assert getattr(sent, name).tolist() == getattr(expected, name).tolist()
+        tick += 1
 
 
 def test_what_a_user_writes_can_be_written_again() -> None:
