@@ -7,8 +7,8 @@ Between two events (ticks, arrivals, events of a component) the interval is cut 
 the coupling's step. On a grid, for components that accept steps of one length only, arrivals wait for the end of a
 step. Over a micro step from t to t + h:
 
-- `joint`: all states are integrated together, Runge-Kutta 4 or Dormand-Prince 5(4). A step in which an event indicator
-  changes its sign is made again up to there (`cosim.crossings`).
+- `joint`: all states are integrated together: Runge-Kutta 4, Dormand-Prince 5(4) or Euler. A step in which an event
+  indicator changes its sign is made again up to there (`cosim.crossings`).
 - `jacobi`: every component steps with the others' outputs at t held.
 - `gauss-seidel`: in the file's order; a component sees the newest outputs, held.
 - `midpoint`: in the file's order. Outputs of components that step later are extrapolated to the middle of the step from
@@ -33,7 +33,7 @@ from cosim.errors import ComponentError
 from cosim.mailbox import Updates
 from cosim.memory import LoopState
 from cosim.plan import CouplingPlan, Integrator, Method
-from cosim.wiring import Direction, Transfer, Wiring
+from cosim.wiring import Direction, Transfer, Wiring, takes_in_event_mode
 from network.units import NANOSECONDS_PER_SECOND, to_seconds
 
 _SET = Direction.SET
@@ -60,6 +60,7 @@ class PythonLoop:
         }.get(coupling.method)
         ends = np.cumsum([0, *(component.n_states for component in components)])
         self._states = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+        self._discrete = [takes_in_event_mode(component, wiring.inputs[c]) for c, component in enumerate(components)]
         self._n_indicators = sum(component.n_indicators for component in components)
         self._indicators = np.empty(0)
         self._beyond = np.empty(0)
@@ -84,6 +85,7 @@ class PythonLoop:
         if self._joint:
             self._iterate_events()
         else:
+            self._leave_events()
             for gets in wiring.outputs:
                 self._carry_out(gets)
         self._carry_out(wiring.sample)
@@ -140,15 +142,24 @@ class PythonLoop:
 
     # --- events -----------------------------------------------------------------------------------------------------
     def _event(self, time_ns: int, *, listen: bool) -> None:
-        """A tick, an arrival or a time event. Co-Simulation components only get their new inputs."""
+        """A tick, an arrival or an event of a component. Co-Simulation components only get their new inputs."""
         self._state.time[0] = to_seconds(time_ns)
-        if self._joint:
-            for component in self._components:
+        for component in self._components:
+            if self._joint or (listen and component.uses_events):
                 component.enter_event_mode()
         if listen:
             self._carry_out(self._wiring.listen)
         if self._joint:
             self._iterate_events()
+        elif listen:
+            self._leave_events()
+
+    def _leave_events(self) -> None:
+        """Co-Simulation: from Event Mode, where there is one, to Step Mode."""
+        for component in self._components:
+            if component.uses_events:
+                component.update_discrete_states()
+                component.enter_step_mode()
 
     def _iterate_events(self) -> None:
         """From Event Mode to Continuous-Time Mode: update discrete states until no connected value changes any more."""
@@ -203,9 +214,10 @@ class PythonLoop:
             return stop_ns
         if self._n_indicators:
             self._indicators = self._get_indicators()
-        if self._coupling.integrator is Integrator.RK4 or not n_states:
-            return self._runge_kutta(start_ns, stop_ns)
-        return self._dormand_prince(start_ns, stop_ns)
+        if self._coupling.integrator is Integrator.DORMAND_PRINCE and n_states:
+            return self._dormand_prince(start_ns, stop_ns)
+        euler = self._coupling.integrator is Integrator.EULER
+        return self._equal_steps(self._euler_step if euler else self._runge_kutta_step, start_ns, stop_ns)
 
     def _micro_steps(self, start_ns: int, end_ns: int) -> tuple[int, float]:
         """How many equal micro steps, and their length in seconds."""
@@ -213,21 +225,25 @@ class PythonLoop:
         return n, to_seconds(self._coupling.step_ns) if self._coupling.grid else to_seconds(end_ns - start_ns) / n
 
     # --- joint ------------------------------------------------------------------------------------------------------
-    def _runge_kutta(self, start_ns: int, end_ns: int) -> int:
-        """The classical Runge-Kutta method of order 4; the time reached."""
+    def _equal_steps(self, step: Callable[[float, Floats, float], Floats], start_ns: int, end_ns: int) -> int:
+        """Steps from states at a time to those a length later; the time reached."""
         n, h = self._micro_steps(start_ns, end_ns)
         start, end = to_seconds(start_ns), to_seconds(end_ns)
         x = self._get_states()
         for i in range(n):
             t, final = start + i * h, i + 1 == n
-            new, reached = self._runge_kutta_step(t, x, h), end if final else start + (i + 1) * h
+            new, reached = step(t, x, h), end if final else start + (i + 1) * h
             if self._crosses(reached, new):
                 ends = bracket(t, reached, start_ns, end_ns, final=final)
-                return self._locate(ends, partial(self._runge_kutta_step, t, x), t)
+                return self._locate(ends, partial(step, t, x), t)
             x = self._accept(reached, new)
         return end_ns
 
+    def _euler_step(self, t: float, x: Floats, h: float) -> Floats:
+        return x + h * self._derivatives(t, x)
+
     def _runge_kutta_step(self, t: float, x: Floats, h: float) -> Floats:
+        """The classical Runge-Kutta method of order 4."""
         half, sixth = 0.5 * h, h / 6.0
         k1 = self._derivatives(t, x)
         k2 = self._derivatives(t + half, x + half * k1)
@@ -395,14 +411,14 @@ class PythonLoop:
 
     def _jacobi(self, t: float, h: float) -> None:
         for c, component in enumerate(self._components):
-            self._carry_out(self._wiring.inputs[c])
+            self._set_inputs(c)
             component.step(t, h)
         for gets in self._wiring.outputs:
             self._carry_out(gets)
 
     def _gauss_seidel(self, t: float, h: float) -> None:
         for c, component in enumerate(self._components):
-            self._carry_out(self._wiring.inputs[c])
+            self._set_inputs(c)
             component.step(t, h)
             self._carry_out(self._wiring.outputs[c])
 
@@ -416,18 +432,27 @@ class PythonLoop:
         half = 0.5 * h
         for c, component in enumerate(self._components):
             earlier = (owner >= 0) & (owner < c)
-            inputs = self._wiring.inputs[c]
-            if any(np.any(earlier[transfer.positions]) for transfer in inputs):
-                self._carry_out(inputs, np.where(earlier, before, middle))
+            if any(np.any(earlier[transfer.positions]) for transfer in self._wiring.inputs[c]):
+                self._set_inputs(c, np.where(earlier, before, middle))
                 component.step(t, half)
-                self._carry_out(inputs, np.where(earlier, signals, middle))
+                self._set_inputs(c, np.where(earlier, signals, middle))
                 component.step(t + half, half)
             else:
-                self._carry_out(inputs, middle)
+                self._set_inputs(c, middle)
                 component.step(t, h)
             self._carry_out(self._wiring.outputs[c])
         state.previous[:] = before
         state.steps[0] = h
+
+    def _set_inputs(self, c: int, source: Floats | None = None) -> None:
+        """Set the connected inputs of a component from `source`, by default the signals."""
+        component, discrete = self._components[c], self._discrete[c]
+        if discrete:
+            component.enter_event_mode()
+        self._carry_out(self._wiring.inputs[c], source)
+        if discrete:
+            component.update_discrete_states()
+            component.enter_step_mode()
 
     # --- transfers --------------------------------------------------------------------------------------------------
     def _carry_out(self, transfers: Iterable[Transfer], source: Floats | None = None) -> None:

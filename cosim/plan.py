@@ -38,6 +38,7 @@ class Method(StrEnum):
 class Integrator(StrEnum):
     """The one-step method of the `joint` coupling."""
 
+    EULER = "euler"
     RK4 = "rk4"
     DORMAND_PRINCE = "dormand-prince"  # the adaptive embedded pair 5(4)
 

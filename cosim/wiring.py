@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.components.component import Variable
+from cosim.components.component import Component, Variable
 from cosim.plan import AgentPlan, Method, Port
 from network.messages import NEVER, MessageLayout
 
@@ -181,6 +181,11 @@ class Wirings:
         if key not in self._known:
             self._known[key] = plan, wire(plan, self._layout)  # the plan stays alive, and with it its parts' identity
         return self._known[key][1]
+
+
+def takes_in_event_mode(component: Component, inputs: Iterable[Transfer]) -> bool:
+    """Whether a Co-Simulation component takes these inputs in Event Mode only: some of them are discrete."""
+    return component.uses_events and any(not v.is_continuous for transfer in inputs for v in transfer.variables)
 
 
 def _as_slice(positions: Positions) -> Positions | slice:

@@ -66,6 +66,11 @@ class Variable:
         """How many numbers it holds."""
         return math.prod(self.shape)
 
+    @property
+    def is_continuous(self) -> bool:
+        """Whether it changes between events too."""
+        return self.variability == "continuous"
+
 
 def head(variable: Variable, shape: tuple[int, ...]) -> Variable:
     """The leading block of a flattened FMI 2.0 array, where more rows are declared than are used.
@@ -153,15 +158,22 @@ class Component(ABC):
 
     @abstractmethod
     def exit_initialization(self) -> None:
-        """Leaves a Model Exchange component in Event Mode, a Co-Simulation one ready for `step`."""
+        """Leaves a component that has an Event Mode in it, another one ready for `step`."""
 
     @abstractmethod
     def terminate(self) -> None:
         """Terminate and free. Calling it twice, or after a failure, does no harm."""
 
     # --- Co-Simulation ----------------------------------------------------------------------------------------------
+    uses_events: bool = False
+    """Whether it has an Event Mode (FMI 3.0, 4.2): initialisation ends there, and discrete inputs are set there."""
+
     def step(self, time: float, step: float) -> None:
-        """Advance from `time` by `step` seconds with the inputs held."""
+        """Advance from `time` by `step` seconds with the inputs held, handling events on the way."""
+        raise NotImplementedError
+
+    def enter_step_mode(self) -> None:
+        """Back from Event Mode."""
         raise NotImplementedError
 
     # --- Model Exchange ---------------------------------------------------------------------------------------------

@@ -9,10 +9,10 @@ bool enter_event_mode(Agent *agent) {
     return true;
 }
 
-static bool update_discrete_states(Agent *agent, int component) {
+static bool update_discrete_states(Agent *agent, int component, double *next_event) {
     for (int i = 0; i < DISCRETE_STATE_ITERATIONS; i++) {
         bool again;
-        if (!update_once(agent, component, &again, &agent->next_event[component])) return false;
+        if (!update_once(agent, component, &again, next_event)) return false;
         if (!again) return true;
     }
     return fail(agent, (Failure){.reason = DISCRETE_STATES_UNSETTLED, .component = component});
@@ -29,7 +29,7 @@ bool iterate_events(Agent *agent) {
     if (!carry_out(agent, agent->propagate, agent->signals)) return false;
     for (int i = 0; changed && i < EVENT_ITERATIONS; i++) {
         for (int c = 0; c < agent->n_components; c++)
-            if (!update_discrete_states(agent, c)) return false;
+            if (!update_discrete_states(agent, c, &agent->next_event[c])) return false;
         memcpy(agent->before, agent->signals, (size_t)agent->n_signals * sizeof(double));
         if (!carry_out(agent, agent->propagate, agent->signals)) return false;
         changed = signals_changed(agent);
@@ -40,10 +40,23 @@ bool iterate_events(Agent *agent) {
     return true;
 }
 
+bool leave_events(Agent *agent, int component) {
+    double next_event;
+    return update_discrete_states(agent, component, &next_event) && change_mode(agent, component, ENTER_STEP_MODE);
+}
+
+static bool listen_between_steps(Agent *agent) {
+    for (int c = 0; c < agent->n_components; c++)
+        if (agent->components[c].uses_events && !change_mode(agent, c, ENTER_EVENT_MODE)) return false;
+    if (!carry_out(agent, agent->listen, agent->signals)) return false;
+    for (int c = 0; c < agent->n_components; c++)
+        if (agent->components[c].uses_events && !leave_events(agent, c)) return false;
+    return true;
+}
+
 bool handle_event(Agent *agent, int64_t time_ns, bool listen) {
-    bool joint = agent->method == JOINT;
     *agent->time = to_seconds(time_ns);
-    if (joint && !enter_event_mode(agent)) return false;
-    if (listen && !carry_out(agent, agent->listen, agent->signals)) return false;
-    return !joint || iterate_events(agent);
+    if (agent->method != JOINT) return !listen || listen_between_steps(agent);
+    return enter_event_mode(agent) && (!listen || carry_out(agent, agent->listen, agent->signals)) &&
+           iterate_events(agent);
 }

@@ -135,17 +135,20 @@ static inline bool update_once(Agent *agent, int index, bool *again, double *nex
     return true;
 }
 
-static inline bool do_step(Agent *agent, int index, double time, double step) {
+/* One call; `needed` says whether events are to be handled, `early` whether it only got to `reached`. */
+static inline bool step_once(Agent *agent, int index, double time, double step, bool *needed, bool *early,
+                             double *reached) {
     const Component *c = &agent->components[index];
     Function f = c->functions[DO_STEP];
+    *needed = *early = false;
     if (c->fmi == 2)
         return check(agent, index, DO_STEP, (int)((fmi2DoStepTYPE *)f)(c->instance, time, step, fmi2True));
-    fmi3Boolean event = false, stop = false, early = false;
-    fmi3Float64 reached = 0.0;
-    int status = (int)((fmi3DoStepTYPE *)f)(c->instance, time, step, true, &event, &stop, &early, &reached);
+    fmi3Boolean event = false, stop = false, short_of = false;
+    *reached = 0.0;
+    int status = (int)((fmi3DoStepTYPE *)f)(c->instance, time, step, true, &event, &stop, &short_of, reached);
     if (!check(agent, index, DO_STEP, status)) return false;
     if (stop) return stop_requested(agent, index);
-    if (early) return fail(agent, (Failure){.reason = EARLY_RETURN, .component = index, .value = reached});
+    *needed = event, *early = short_of;
     return true;
 }
 

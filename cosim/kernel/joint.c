@@ -97,8 +97,9 @@ static bool accept(Agent *agent, double time, bool *event) {
 /* --- State events ----------------------------------------------------------------------------------------------- */
 
 /* A step from `agent->states` to `agent->new_states`. */
+typedef bool (*MakeStep)(Agent *agent, double t, double length);
 typedef struct {
-    bool (*make)(Agent *agent, double t, double length);
+    MakeStep make;
     double start;
 } Step;
 
@@ -135,12 +136,18 @@ static bool locate(Agent *agent, Bracket ends, Step step, int64_t *reached_ns, i
     return complete(agent, &event); /* there will be an event in any case */
 }
 
-/* --- Runge-Kutta 4 ---------------------------------------------------------------------------------------------- */
+/* --- Steps of equal length -------------------------------------------------------------------------------------- */
 
 /* new_states = states + length * slope */
 static double *advanced(const Agent *agent, double length, const double *slope) {
     for (int32_t i = 0; i < agent->n_states; i++) agent->new_states[i] = agent->states[i] + length * slope[i];
     return agent->new_states;
+}
+
+static bool euler_step(Agent *agent, double t, double h) {
+    if (!derivatives(agent, t, agent->states, stage(agent, 0))) return false;
+    advanced(agent, h, stage(agent, 0));
+    return true;
 }
 
 static bool runge_kutta_step(Agent *agent, double t, double h) {
@@ -156,7 +163,8 @@ static bool runge_kutta_step(Agent *agent, double t, double h) {
     return true;
 }
 
-static bool runge_kutta(Agent *agent, int64_t start_ns, int64_t end_ns, int64_t *reached_ns, int32_t *component) {
+static bool equal_steps(Agent *agent, int64_t start_ns, int64_t end_ns, int64_t *reached_ns, int32_t *component) {
+    MakeStep make = agent->integrator == EULER ? euler_step : runge_kutta_step;
     double h;
     int64_t n = micro_steps(agent, start_ns, end_ns, &h);
     double start = to_seconds(start_ns), end = to_seconds(end_ns);
@@ -166,10 +174,9 @@ static bool runge_kutta(Agent *agent, int64_t start_ns, int64_t end_ns, int64_t 
     for (int64_t i = 0; i < n; i++) {
         bool final = i + 1 == n;
         double t = start + (double)i * h, reached = final ? end : start + (double)(i + 1) * h;
-        if (!runge_kutta_step(agent, t, h) || !crosses(agent, reached, &crossed)) return false;
+        if (!make(agent, t, h) || !crosses(agent, reached, &crossed)) return false;
         if (crossed)
-            return locate(agent, bracket(t, reached, start_ns, end_ns, final), (Step){runge_kutta_step, t}, reached_ns,
-                          component);
+            return locate(agent, bracket(t, reached, start_ns, end_ns, final), (Step){make, t}, reached_ns, component);
         copy_states(agent, agent->states, agent->new_states);
         if (!accept(agent, reached, &event)) return false;
     }
@@ -281,6 +288,6 @@ bool integrate_states(Agent *agent, int64_t start_ns, int64_t end_ns, int64_t *r
         return accept(agent, to_seconds(end_ns), &event);
     }
     if (!get_all_indicators(agent, agent->indicators)) return false;
-    return (agent->integrator == RK4 || agent->n_states == 0 ? runge_kutta : dormand_prince)(agent, start_ns, end_ns,
-                                                                                             reached_ns, component);
+    bool adaptive = agent->integrator == DORMAND_PRINCE && agent->n_states > 0;
+    return (adaptive ? dormand_prince : equal_steps)(agent, start_ns, end_ns, reached_ns, component);
 }

@@ -15,10 +15,12 @@
 #define NANOSECONDS_PER_SECOND 1e9
 #define EVENT_ITERATIONS 100          /* as in cosim/coupling.py */
 #define DISCRETE_STATE_ITERATIONS 100 /* as in cosim/components/fmu/component.py */
+#define EVENTS_PER_STEP 100           /* as in cosim/components/fmu/component.py */
+#define SHORTEST 1e-9                 /* likewise */
 #define STATE_EVENTS_PER_STEP 100     /* as in cosim/crossings.py */
 #define STAGES 7                      /* of the Dormand-Prince pair; Runge-Kutta 4 needs four */
 
-typedef enum { RK4, DORMAND_PRINCE } Integrator;
+typedef enum { RK4, DORMAND_PRINCE, EULER } Integrator;
 typedef enum { JOINT, MIDPOINT, GAUSS_SEIDEL, JACOBI } Method;
 
 /* How the values of a variable lie in memory. FMI 2.0 has FLOAT64, INT32 and its own Boolean, an int. */
@@ -49,6 +51,7 @@ typedef enum {
     ENTER_EVENT_MODE,
     UPDATE_DISCRETE_STATES,
     ENTER_CONTINUOUS_TIME_MODE,
+    ENTER_STEP_MODE,
     DO_STEP,
     GET_VALUES,
     SET_VALUES = GET_VALUES + N_TYPES,
@@ -64,6 +67,8 @@ typedef struct {
     int32_t reads_earlier; /* an input is connected to a component earlier in the file's order */
     int32_t n_indicators;
     int32_t first_indicator; /* where its event indicators lie among those of the agent */
+    int32_t uses_events;     /* Co-Simulation with an Event Mode */
+    int32_t discrete;        /* it takes its connected inputs there only */
     void *instance;
     const Function *functions; /* N_CALLS */
 } Component;
@@ -98,7 +103,8 @@ typedef enum {
     DISCRETE_STATES_UNSETTLED,
     STEP_TOO_SMALL,
     INDICATOR_NAN,
-    CHATTERING
+    CHATTERING,
+    TOO_MANY_EVENTS
 } Reason;
 
 typedef struct {
@@ -201,6 +207,7 @@ bool carry_out(Agent *agent, Transfers transfers, const double *source);
 bool handle_event(Agent *agent, int64_t time_ns, bool listen);
 bool enter_event_mode(Agent *agent);
 bool iterate_events(Agent *agent);
+bool leave_events(Agent *agent, int component); /* Co-Simulation: from Event Mode to Step Mode */
 
 /* joint.c: `reached_ns` is `end_ns`, or earlier if there is a state event of `component`. */
 bool integrate_states(Agent *agent, int64_t start_ns, int64_t end_ns, int64_t *reached_ns, int32_t *component);

@@ -15,6 +15,7 @@ from cosim.errors import ComponentError, ConfigError, Problem
 from cosim.kernel import layout
 from cosim.kernel.layout import Reason
 from cosim.plan import CouplingPlan
+from cosim.wiring import takes_in_event_mode
 
 if TYPE_CHECKING:
     from cosim.components.fmu import FmuComponent, Native
@@ -36,7 +37,7 @@ class Kind:
     def __init__(self, wiring: Wiring, components: Sequence[Component], coupling: CouplingPlan) -> None:
         fmus = only_fmus(components)
         self._wiring = wiring
-        self._calls = [_Calls(component.native(), component.interface) for component in fmus]
+        self._calls = [_Calls(component) for component in fmus]
         self._transfers = _TransferTable(self._calls)
         self._memory: list[Any] = []
         self._tables: dict[tuple[int, int], tuple[Any, int]] = {}
@@ -85,7 +86,8 @@ class Kind:
             reads_earlier = any(np.any((owners >= 0) & (owners < c)) for owners in read)
             functions = self._functions(c, native)
             sizes = (component.n_states, first_state, reads_earlier, component.n_indicators, first_indicator)
-            yield native.fmi, *sizes, native.instance, functions
+            events = component.uses_events, takes_in_event_mode(component, self._wiring.inputs[c])
+            yield native.fmi, *sizes, *events, native.instance, functions
             first_state += component.n_states
             first_indicator += component.n_indicators
 
@@ -115,6 +117,8 @@ class Kind:
                 return component.unsettled()
             case Reason.INDICATOR_NAN:
                 return ComponentError(component.name, f"event indicator {failure.index + 1} is not a number")
+            case Reason.TOO_MANY_EVENTS:
+                return component.too_many_events()
             case Reason.CHATTERING:
                 return ComponentError(component.name, chattering(self._agent.step_ns))
             case _:
@@ -156,12 +160,14 @@ def only_fmus(components: Sequence[Component]) -> list[FmuComponent]:
 class _Calls:
     """The FMI functions of one component that the kernel may call: name by call number."""
 
-    def __init__(self, native: Native, interface: Interface) -> None:
-        self.native = native
-        if interface is Interface.MODEL_EXCHANGE:
+    def __init__(self, component: FmuComponent) -> None:
+        self.native = native = component.native()
+        if component.interface is Interface.MODEL_EXCHANGE:
             self.names = dict(enumerate(layout.MODEL_EXCHANGE_CALLS[native.fmi]))
         else:
             self.names = {layout.DO_STEP: f"fmi{native.fmi}DoStep"}
+        if component.uses_events:
+            self.names |= layout.CO_SIMULATION_EVENT_CALLS
 
     def storage(self, variable: Variable) -> str:
         """Which of `layout.TYPES` holds the variable's values."""

@@ -15,7 +15,7 @@ from cosim.plan import Integrator, Method
 STAGES = 7
 """Rows of scratch that the integrators need."""
 
-INTEGRATORS = (Integrator.RK4, Integrator.DORMAND_PRINCE)
+INTEGRATORS = (Integrator.RK4, Integrator.DORMAND_PRINCE, Integrator.EULER)
 METHODS = (Method.JOINT, Method.MIDPOINT, Method.GAUSS_SEIDEL, Method.JACOBI)
 
 TYPES = (
@@ -40,8 +40,10 @@ MODEL_EXCHANGE_CALLS = {
     ),
 }
 """By FMI version, from call number 0 on."""
-DO_STEP = 9
-GET_VALUES = 10
+CO_SIMULATION_EVENT_CALLS = {6: "fmi3EnterEventMode", 7: "fmi3UpdateDiscreteStates", 9: "fmi3EnterStepMode"}
+"""By call number, for FMUs that have an Event Mode."""
+DO_STEP = 10
+GET_VALUES = 11
 SET_VALUES = GET_VALUES + len(TYPES)
 N_CALLS = SET_VALUES + len(TYPES)
 
@@ -59,6 +61,7 @@ class Reason(IntEnum):
     STEP_TOO_SMALL = 8
     INDICATOR_NAN = 9
     CHATTERING = 10
+    TOO_MANY_EVENTS = 11
 
 
 class Component(ctypes.Structure):
@@ -71,6 +74,8 @@ class Component(ctypes.Structure):
         ("reads_earlier", c_int32),
         ("n_indicators", c_int32),
         ("first_indicator", c_int32),
+        ("uses_events", c_int32),
+        ("discrete", c_int32),
         ("instance", c_void_p),
         ("functions", c_void_p),
     )

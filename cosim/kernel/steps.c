@@ -3,9 +3,30 @@
 
 #include "fmi_calls.h"
 
+/* A step of a component, with its events on the way. */
+static bool do_step(Agent *agent, int c, double time, double step) {
+    double start = time, end = time + step, length = step, reached;
+    bool uses_events = agent->components[c].uses_events, needed, early;
+    for (int i = 0; i < EVENTS_PER_STEP; i++) {
+        if (!step_once(agent, c, start, length, &needed, &early, &reached)) return false;
+        if (needed && uses_events && !(change_mode(agent, c, ENTER_EVENT_MODE) && leave_events(agent, c))) return false;
+        if (!early || (uses_events && end - reached <= SHORTEST * step)) return true;
+        if (!uses_events) return fail(agent, (Failure){.reason = EARLY_RETURN, .component = c, .value = reached});
+        start = reached, length = end - reached;
+    }
+    return fail(agent, (Failure){.reason = TOO_MANY_EVENTS, .component = c});
+}
+
+/* Set the connected inputs of a component, in Event Mode where it takes them there only. */
+static bool set_inputs(Agent *agent, int c, const double *source) {
+    bool discrete = agent->components[c].discrete;
+    return (!discrete || change_mode(agent, c, ENTER_EVENT_MODE)) && carry_out(agent, agent->inputs[c], source) &&
+           (!discrete || leave_events(agent, c));
+}
+
 static bool jacobi(Agent *agent, double t, double h) {
     for (int c = 0; c < agent->n_components; c++)
-        if (!carry_out(agent, agent->inputs[c], agent->signals) || !do_step(agent, c, t, h)) return false;
+        if (!set_inputs(agent, c, agent->signals) || !do_step(agent, c, t, h)) return false;
     for (int c = 0; c < agent->n_components; c++)
         if (!carry_out(agent, agent->outputs[c], agent->signals)) return false;
     return true;
@@ -13,7 +34,7 @@ static bool jacobi(Agent *agent, double t, double h) {
 
 static bool gauss_seidel(Agent *agent, double t, double h) {
     for (int c = 0; c < agent->n_components; c++)
-        if (!carry_out(agent, agent->inputs[c], agent->signals) || !do_step(agent, c, t, h) ||
+        if (!set_inputs(agent, c, agent->signals) || !do_step(agent, c, t, h) ||
             !carry_out(agent, agent->outputs[c], agent->signals))
             return false;
     return true;
@@ -25,12 +46,12 @@ static bool set_mixed_inputs(Agent *agent, int c, const double *earlier) {
         bool stepped = agent->owner[i] >= 0 && agent->owner[i] < c;
         agent->source[i] = stepped ? earlier[i] : agent->middle[i];
     }
-    return carry_out(agent, agent->inputs[c], agent->source);
+    return set_inputs(agent, c, agent->source);
 }
 
 static bool midpoint_component(Agent *agent, int c, double t, double h) {
     if (!agent->components[c].reads_earlier)
-        return carry_out(agent, agent->inputs[c], agent->middle) && do_step(agent, c, t, h);
+        return set_inputs(agent, c, agent->middle) && do_step(agent, c, t, h);
     double half = 0.5 * h;
     return set_mixed_inputs(agent, c, agent->before) && do_step(agent, c, t, half) &&
            set_mixed_inputs(agent, c, agent->signals) && do_step(agent, c, t + half, half);

@@ -225,8 +225,9 @@ class CouplingSpec(Spec):
         None,
         description="Micro step; it divides the period. By default 5 ms for joint, else 1 ms or what an FMU asks for.",
     )
-    integrator: Literal["rk4", "dormand-prince"] = Field(
-        "rk4", description="For joint; dormand-prince adapts its step."
+    integrator: Literal["euler", "rk4", "dormand-prince"] = Field(
+        "rk4",
+        description="For joint; dormand-prince adapts its step, euler (order 1) reproduces what other tools do.",
     )
     relative_tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(1e-8, description="For dormand-prince.")
     absolute_tolerance: Annotated[float, Field(gt=0, lt=math.inf)] = Field(1e-10, description="For dormand-prince.")

@@ -40,6 +40,7 @@ enum {
     INDICATOR_NAN,
     CHATTERS,
     STEP_FIXED,
+    EARLY_FOREVER,
 };
 
 typedef struct {
@@ -47,6 +48,7 @@ typedef struct {
     double vector[8];
     char label[64];
     bool structural_mode, fmi3, falling;
+    bool has_event_mode, in_event_mode; /* Co-Simulation of FMI 3.0 */
     double next_event;
     int updates;
     void *environment;
@@ -164,8 +166,10 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          const fmi3ValueReference required[], size_t n,
                                          fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
                                          fmi3IntermediateUpdateCallback intermediate) {
-    (void)event_mode, (void)early, (void)required, (void)n, (void)intermediate;
-    return fmi3InstantiateModelExchange(name, token, resources, visible, logging, environment, log);
+    (void)required, (void)n, (void)intermediate;
+    Probe *p = fmi3InstantiateModelExchange(name, token, resources, visible, logging, environment, log);
+    if (p) p->has_event_mode = p->in_event_mode = event_mode && early;
+    return p;
 }
 
 void fmi3FreeInstance(fmi3Instance i) { free(i); }
@@ -185,11 +189,18 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance i, fmi3Boolean defined, fmi3
     return fmi3OK;
 }
 fmi3Status fmi3ExitInitializationMode(fmi3Instance i) { return i ? fmi3OK : fmi3Error; }
-fmi3Status fmi3EnterEventMode(fmi3Instance i) { return i ? fmi3OK : fmi3Error; }
+fmi3Status fmi3EnterEventMode(fmi3Instance i) {
+    PROBE(i)->in_event_mode = true;
+    return fmi3OK;
+}
+fmi3Status fmi3EnterStepMode(fmi3Instance i) {
+    PROBE(i)->in_event_mode = false;
+    return fmi3OK;
+}
 fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance i) { return i ? fmi3OK : fmi3Error; }
 fmi3Status fmi3Terminate(fmi3Instance i) { return i ? fmi3OK : fmi3Error; }
 
-#define ACCESS3(Name)                                                                                              \
+#define ACCESS3(Name, discrete)                                                                                    \
     fmi3Status fmi3Get##Name(fmi3Instance i, const fmi3ValueReference vr[], size_t n, fmi3##Name values[],         \
                              size_t n_values) {                                                                    \
         (void)n_values;                                                                                            \
@@ -200,6 +211,7 @@ fmi3Status fmi3Terminate(fmi3Instance i) { return i ? fmi3OK : fmi3Error; }
     fmi3Status fmi3Set##Name(fmi3Instance i, const fmi3ValueReference vr[], size_t n, const fmi3##Name values[],   \
                              size_t n_values) {                                                                    \
         (void)n_values;                                                                                            \
+        if (discrete && PROBE(i)->has_event_mode && !PROBE(i)->in_event_mode) return (fmi3Status)failed(i, ERROR); \
         for (size_t j = 0; j < n; j++) {                                                                           \
             if (vr[j] == N && !PROBE(i)->structural_mode) return (fmi3Status)failed(i, ERROR);                     \
             for (size_t e = 0; e < size_of(i, vr[j]); e++) *slot(i, vr[j], e) = (double)*values++;                 \
@@ -207,17 +219,17 @@ fmi3Status fmi3Terminate(fmi3Instance i) { return i ? fmi3OK : fmi3Error; }
         return fmi3OK;                                                                                             \
     }
 
-ACCESS3(Float64)
-ACCESS3(Float32)
-ACCESS3(Int8)
-ACCESS3(UInt8)
-ACCESS3(Int16)
-ACCESS3(UInt16)
-ACCESS3(Int32)
-ACCESS3(UInt32)
-ACCESS3(Int64)
-ACCESS3(UInt64)
-ACCESS3(Boolean)
+ACCESS3(Float64, false)
+ACCESS3(Float32, false)
+ACCESS3(Int8, true)
+ACCESS3(UInt8, true)
+ACCESS3(Int16, true)
+ACCESS3(UInt16, true)
+ACCESS3(Int32, true)
+ACCESS3(UInt32, true)
+ACCESS3(Int64, true)
+ACCESS3(UInt64, true)
+ACCESS3(Boolean, true)
 
 fmi3Status fmi3SetString(fmi3Instance i, const fmi3ValueReference vr[], size_t n, const fmi3String values[],
                          size_t n_values) {
@@ -259,8 +271,15 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance i, fmi3Boolean *again, fmi3Bool
 fmi3Status fmi3DoStep(fmi3Instance i, fmi3Float64 time, fmi3Float64 length, fmi3Boolean final, fmi3Boolean *event,
                       fmi3Boolean *stop, fmi3Boolean *early, fmi3Float64 *reached) {
     (void)final;
-    *event = false, *stop = mode(i) == STEP_STOPS, *early = mode(i) == STEP_EARLY, *reached = time + 0.25 * length;
-    return (fmi3Status)step(i, time, length);
+    Probe *p = i;
+    *event = false, *stop = mode(p) == STEP_STOPS, *early = mode(p) == STEP_EARLY, *reached = time + 0.25 * length;
+    if (p->has_event_mode && p->in_event_mode) return (fmi3Status)failed(p, ERROR);
+    if (p->has_event_mode && mode(p) == EARLY_FOREVER) length *= 0.001, *early = true, *reached = time + length;
+    if (p->has_event_mode && p->next_event <= time + length) { /* it returns early, at the time event */
+        length = p->next_event - time;
+        *event = *early = true, *reached = time + length;
+    }
+    return (fmi3Status)step(p, time, length);
 }
 
 /* --- FMI 2.0 ---------------------------------------------------------------------------------------------------- */

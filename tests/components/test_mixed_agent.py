@@ -109,8 +109,10 @@ def recorded(plan: AgentPlan, ticks: int) -> Floats:
     return np.array(rows)
 
 
-@pytest.mark.parametrize("integrator", list(Integrator))
-def test_python_components_alone(integrator: Integrator) -> None:
+@pytest.mark.parametrize(
+    ("integrator", "error"), [(Integrator.EULER, 5e-3), (Integrator.RK4, 1e-9), (Integrator.DORMAND_PRINCE, 1e-9)]
+)
+def test_python_components_alone(integrator: Integrator, error: float) -> None:
     """x' = 2 sin t - x has the solution sin t - cos t + exp(-t)."""
     components = (component("sine", "cosim.components.library:Sine"), component("lag", "mixed_agent:Lag"))
     coupling = CouplingPlan(Method.JOINT, 5_000_000, integrator)
@@ -118,7 +120,7 @@ def test_python_components_alone(integrator: Integrator) -> None:
     t: Floats = np.linspace(0.0, 0.9, 10)
     for time, column in ((t, 0), (np.floor(t / 0.03 + 1e-9) * 0.03, 1)):
         exact = np.sin(time) - np.cos(time) + np.exp(-time)
-        assert np.abs(rows[:, column] - exact).max() < 1e-9
+        assert np.abs(rows[:, column] - exact).max() < error
 
 
 @pytest.mark.parametrize("name", ["TwoLinkArm.fmi2", "TwoLinkArm.fmi3"])

@@ -30,6 +30,12 @@ from cosim.errors import ComponentError, ConfigError
 DISCRETE_STATE_ITERATIONS = 100
 """How often an FMU may ask for another update of its discrete states at one instant."""
 
+EVENTS_PER_STEP = 100
+"""How often a Co-Simulation FMU may return early within one step, to have its events handled."""
+
+SHORTEST = 1e-9
+"""What an early return may leave of a step, as a part of it: nothing, but for rounding."""
+
 DISCARD, FATAL = 2, 4
 
 
@@ -106,6 +112,11 @@ class FmuComponent(Component):
     def early_return(self, reached: float) -> ComponentError:
         """The error for an FMI 3.0 step cut short, which `earlyReturnAllowed = false` forbids."""
         return ComponentError(self.name, f"fmi3DoStep returned early, at t = {reached:.9g} s", self.log.last)
+
+    def too_many_events(self) -> ComponentError:
+        """The error for an FMU that returns early again and again."""
+        times = f"more than {EVENTS_PER_STEP} times within one step"
+        return ComponentError(self.name, f"fmi3DoStep returned early {times}, for its events", self.log.last)
 
     def unsettled(self) -> ComponentError:
         """The error for an FMU whose discrete states never settle."""
@@ -318,6 +329,7 @@ class Fmi3Component(FmuComponent):
     """FMI 3.0; structural parameters are set in Configuration Mode."""
 
     def __init__(self, name: str, file: File, interface: Interface, description: Description) -> None:
+        self.uses_events = interface is Interface.CO_SIMULATION and bool(file.implementations[interface].hasEventMode)
         super().__init__(name, file, interface, description)
         self._file = file
         self._structural: dict[str, int] = {}
@@ -334,7 +346,8 @@ class Fmi3Component(FmuComponent):
 
     def _instantiate(self) -> None:
         log = self.log
-        self._fmu.instantiate(logMessage=lambda _environment, status, _category, text: log.add(status, text))
+        events = {"eventModeUsed": True, "earlyReturnAllowed": True} if self.uses_events else {}
+        self._fmu.instantiate(logMessage=lambda _environment, status, _category, text: log.add(status, text), **events)
 
     def _start(self, variable: Variable, values: list[Any]) -> None:
         if variable.causality != "structuralParameter":
@@ -365,15 +378,33 @@ class Fmi3Component(FmuComponent):
             self._fmu.fmi3FreeInstance(self._instance)
 
     def step(self, time: float, step: float) -> None:
+        start, end, length = time, time + step, step
+        for _ in range(EVENTS_PER_STEP):
+            needed, early, reached = self._step_once(start, length)
+            if needed and self.uses_events:
+                self.enter_event_mode()
+                self.update_discrete_states()
+                self.enter_step_mode()
+            if not early or (self.uses_events and end - reached <= SHORTEST * step):
+                return
+            if not self.uses_events:
+                raise self.early_return(reached)
+            start, length = reached, end - reached
+        raise self.too_many_events()
+
+    def _step_once(self, time: float, step: float) -> tuple[bool, bool, float]:
+        """Whether events are to be handled, whether it returned early, and the time reached."""
         self.require_usable()
         try:
-            _, stop, early, reached = self._fmu.doStep(time, step)
+            needed, stop, early, reached = self._fmu.doStep(time, step)
         except FMICallException as error:
             raise self.failure("fmi3DoStep", error.status) from None
         if stop:
             raise self.stop_requested()
-        if early:
-            raise self.early_return(reached)
+        return needed, early, reached
+
+    def enter_step_mode(self) -> None:
+        self._call("fmi3EnterStepMode")
 
     def set_time(self, time: float) -> None:
         self._call("fmi3SetTime", time)
