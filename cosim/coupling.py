@@ -73,6 +73,7 @@ class PythonLoop:
         self._state.time[0] = to_seconds(start_ns)
         for component in self._components:
             component.enter_initialization(to_seconds(start_ns), to_seconds(stop_ns))
+        self._carry_out(wiring.held)
         self._carry_out(wiring.listen)
         for gets in wiring.outputs:
             self._carry_out(gets)
@@ -461,11 +462,13 @@ class PythonLoop:
         for transfer in transfers:
             component = self._components[transfer.component]
             if transfer.direction is _SET:
-                for variable, positions, _ in transfer.parts:
-                    component.set(variable, read[positions])
+                for variable, positions, _, scales in transfer.parts:
+                    component.set(variable, read[positions] if scales is None else scales(read[positions]))
                 continue
-            for variable, positions, zeros in transfer.parts:
+            for variable, positions, zeros, scales in transfer.parts:
                 values = component.get(variable)
+                if scales is not None:
+                    values = scales(values)
                 if zeros.dot(values) != 0.0:  # what is not finite gives NaN; cheaper than to ask for each number
                     raise ComponentError(component.name, f"output {variable.name} is not finite")
                 self._signals[positions] = values

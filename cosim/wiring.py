@@ -12,11 +12,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.components.component import Component, Variable
+from cosim.components.component import Component, Element, Variable
+from cosim.components.presented import Scales, pieces
 from cosim.plan import AgentPlan, Method, Port
 from network.messages import NEVER, MessageLayout
 
@@ -41,20 +43,38 @@ class Transfer:
     Attributes:
         variables: in the order of the values.
         positions: (total size,) indices into the signals.
+        scales: (total size,) each, of the values on their way; None where they pass as they are.
     """
 
     direction: Direction
     component: int
     variables: tuple[Variable, ...]
     positions: Positions
+    scales: Scales | None = None
 
     @cached_property
-    def parts(self) -> tuple[tuple[Variable, Positions | slice, NDArray[np.float64]], ...]:
-        """Each variable with its own positions, as a slice where they follow each other, and as many zeros."""
+    def parts(self) -> tuple[Part, ...]:
+        """Variable by variable."""
         ends = itertools.accumulate((variable.size for variable in self.variables), initial=0)
-        pieces = [self.positions[begin:end] for begin, end in itertools.pairwise(ends)]
-        zeros = [np.zeros(len(piece)) for piece in pieces]
-        return tuple(zip(self.variables, map(_as_slice, pieces), zeros, strict=True))
+        ranges = [slice(begin, end) for begin, end in itertools.pairwise(ends)]
+        return tuple(
+            Part(
+                variable,
+                _as_slice(self.positions[where]),
+                np.zeros(variable.size),
+                None if self.scales is None else Scales(self.scales.gains[where], self.scales.offsets[where]),
+            )
+            for variable, where in zip(self.variables, ranges, strict=True)
+        )
+
+
+class Part(NamedTuple):
+    """One variable of a transfer, where its values lie (as a slice if they can be), as many zeros, and their scales."""
+
+    variable: Variable
+    positions: Positions | slice
+    zeros: NDArray[np.float64]
+    scales: Scales | None
 
 
 @dataclass(frozen=True)
@@ -86,6 +106,7 @@ class Wiring:
         owner: (n_signals,) component whose output a signal is; -1 for the mailbox and what comes from outside.
         mailbox: its place.
         external: of each value from outside, its place.
+        held: GET of arrays of which only some elements are fed: the others keep what they have at the start.
         propagate: outputs to inputs, ordered so that every output is read after the inputs that feed through to it.
             Empty unless the coupling is `joint`, the only one that evaluates outputs between steps.
         outputs: per component, GET of every output that some input is connected to.
@@ -99,6 +120,7 @@ class Wiring:
     owner: Positions
     mailbox: MailboxLayout
     external: tuple[Positions, ...]
+    held: tuple[Transfer, ...]
     propagate: tuple[Transfer, ...]
     outputs: tuple[tuple[Transfer, ...], ...]
     inputs: tuple[tuple[Transfer, ...], ...]
@@ -125,40 +147,38 @@ def wire(plan: AgentPlan, layout: MessageLayout) -> Wiring:
     sampled = _unique([*plan.publish, *(port for _, port in plan.record)])
     outputs = _unique([*connected, *sampled])
 
-    where: dict[tuple[int, str], Positions] = {}
-    owner: list[int] = []
+    places = _Places()
     for port in outputs:
-        where[_key(port)] = np.arange(len(owner), len(owner) + port.variable.size, dtype=np.int32)
-        owner += [port.component] * port.variable.size
-    mailbox = _mailbox_layout(len(plan.neighbours), layout, len(owner))
-    owner += [-1] * (mailbox.values.size + 3 * len(plan.neighbours))
-    external: list[Positions] = []
-    for source in plan.external:
-        external.append(np.arange(len(owner), len(owner) + len(source.start), dtype=np.int32))
-        owner += [-1] * len(source.start)
+        places.add_output(port)
+    mailbox = _mailbox_layout(len(plan.neighbours), layout, places.n)
+    places.skip(mailbox.values.size + 3 * len(plan.neighbours))
+    external = [places.skip(len(source.start)) for source in plan.external]
+    connections = [(x.target, places.of(x.source)) for x in plan.connections]
+    heard = _heard(plan, layout, mailbox, external)
+    inputs = _Inputs([*connections, *heard], places)
 
     components = range(len(plan.components))
     joint = plan.coupling.method is Method.JOINT
     connected_keys = {_key(port) for port in connected}
     return Wiring(
-        n_signals=len(owner),
-        owner=np.array(owner, dtype=np.int32),
+        n_signals=places.n,
+        owner=np.array(places.owner, dtype=np.int32),
         mailbox=mailbox,
         external=tuple(external),
-        propagate=_propagation(plan, where) if joint else (),
-        outputs=tuple(_gets([p for p in connected if p.component == c], where) for c in components),
-        inputs=tuple(
-            _sets([(x.target, where[_key(x.source)]) for x in plan.connections if x.target.component == c])
-            for c in components
+        held=inputs.held,
+        propagate=_propagation(plan, places, inputs) if joint else (),
+        outputs=tuple(places.gets([p for p in connected if p.component == c]) for c in components),
+        inputs=tuple(inputs.sets(feed[0] for feed in connections if feed[0].component == c) for c in components),
+        listen=tuple(
+            transfer for c in components for transfer in inputs.sets(port for port, _ in heard if port.component == c)
         ),
-        listen=_listen(plan, layout, mailbox, external),
         sample=tuple(
             transfer
             for c in components
-            for transfer in _gets([p for p in sampled if p.component == c and _key(p) not in connected_keys], where)
+            for transfer in places.gets([p for p in sampled if p.component == c and _key(p) not in connected_keys])
         ),
-        published=_concatenate(where[_key(port)] for port in plan.publish),
-        recorded=_concatenate(where[_key(port)] for _, port in plan.record),
+        published=_concatenate(places.of(port) for port in plan.publish),
+        recorded=_concatenate(places.of(port) for _, port in plan.record),
     )
 
 
@@ -196,8 +216,9 @@ def _as_slice(positions: Positions) -> Positions | slice:
     return positions
 
 
-def _key(port: Port) -> tuple[int, str]:
-    return port.component, port.variable.name
+def _key(port: Port) -> tuple[int, str, str | None]:
+    """A variable may be published in another unit than it has inside the agent."""
+    return port.component, port.variable.name, port.variable.unit
 
 
 def _unique(ports: Iterable[Port]) -> list[Port]:
@@ -208,21 +229,121 @@ def _concatenate(parts: Iterable[Positions]) -> Positions:
     return np.concatenate([np.empty(0, dtype=np.int32), *parts])
 
 
-def _gets(ports: Sequence[Port], where: dict[tuple[int, str], Positions]) -> tuple[Transfer, ...]:
-    """One transfer for ports of one component."""
-    if not ports:
-        return ()
-    positions = _concatenate(where[_key(port)] for port in ports)
-    return (Transfer(Direction.GET, ports[0].component, tuple(port.variable for port in ports), positions),)
+@dataclass(frozen=True)
+class _Move:
+    """The values of one of a component's own variables, and where they lie in the signals."""
+
+    variable: Variable
+    positions: Positions
+    scales: Scales | None = None
 
 
-def _sets(targets: Sequence[tuple[Port, Positions]]) -> tuple[Transfer, ...]:
-    """One transfer for inputs of one component."""
-    if not targets:
+def _transfers(direction: Direction, component: int, moves: Sequence[_Move]) -> tuple[Transfer, ...]:
+    """One transfer for variables of one component."""
+    if not moves:
         return ()
-    ports = [port for port, _ in targets]
-    positions = _concatenate(position for _, position in targets)
-    return (Transfer(Direction.SET, ports[0].component, tuple(port.variable for port in ports), positions),)
+    variables, positions = tuple(move.variable for move in moves), _concatenate(move.positions for move in moves)
+    if all(move.scales is None for move in moves):
+        return (Transfer(direction, component, variables, positions),)
+    scales = [move.scales or Scales(np.ones(move.variable.size), np.zeros(move.variable.size)) for move in moves]
+    gains, offsets = (np.concatenate(arrays) for arrays in zip(*scales, strict=True))
+    return (Transfer(direction, component, variables, positions, Scales(gains, offsets)),)
+
+
+class _Places:
+    """Where values lie in the signals, and what must be read to fill them.
+
+    Attributes:
+        owner: see `Wiring`.
+    """
+
+    def __init__(self) -> None:
+        self.owner: list[int] = []
+        self._of: dict[tuple[int, str, str | None], Positions] = {}
+        self._moves: dict[tuple[int, str, str | None], list[_Move]] = {}
+
+    @property
+    def n(self) -> int:
+        """How many signals there are so far."""
+        return len(self.owner)
+
+    def skip(self, size: int, owner: int = -1) -> Positions:
+        """The next places."""
+        first = self.n
+        self.owner += [owner] * size
+        return np.arange(first, first + size, dtype=np.int32)
+
+    def add_output(self, port: Port) -> None:
+        """Places for an output; of a mapped one, for all numbers of the own variables that it stands for."""
+        key, variable = _key(port), port.variable
+        if variable.elements is None:
+            self._of[key] = self.skip(variable.size, port.component)
+            self._moves[key] = [_Move(variable, self._of[key])]
+            return
+        positions = np.empty(variable.size, dtype=np.int32)
+        self._moves[key] = []
+        for piece in pieces(variable.elements):
+            places = self.skip(piece.own.size, port.component)
+            wanted = piece.places >= 0
+            positions[piece.places[wanted]] = places[wanted]
+            self._moves[key].append(_Move(piece.own, places, piece.scales))
+        self._of[key] = positions
+
+    def of(self, port: Port) -> Positions:
+        """Where the values of an output lie."""
+        return self._of[_key(port)]
+
+    def gets(self, ports: Sequence[Port]) -> tuple[Transfer, ...]:
+        """What reads outputs of one component."""
+        moves = [move for port in ports for move in self._moves[_key(port)]]
+        return _transfers(Direction.GET, ports[0].component, moves) if ports else ()
+
+
+class _Inputs:
+    """What sets the inputs that something feeds.
+
+    An array is set as a whole, whichever of its elements is new; elements that nothing feeds keep what they have when
+    the run starts.
+
+    Args:
+        feeds: inputs, and where what they take lies in the signals.
+        places: takes room for the elements that nothing feeds.
+    """
+
+    def __init__(self, feeds: Sequence[tuple[Port, Positions]], places: _Places) -> None:
+        self._moves: dict[tuple[int, str], _Move] = {}
+        self._behind: dict[tuple[int, str], list[str]] = {}
+        fed: dict[int, tuple[list[Element], list[Positions]]] = {}
+        for port, positions in feeds:
+            if port.variable.elements is None:
+                self._behind[_target(port)] = [port.variable.name]
+                self._moves[_target(port)] = _Move(port.variable, positions)
+                continue
+            elements, sources = fed.setdefault(port.component, ([], []))
+            elements += port.variable.elements
+            sources.append(positions)
+            self._behind[_target(port)] = list(dict.fromkeys(x.variable.name for x in port.variable.elements))
+        held: dict[int, list[_Move]] = {}
+        for component, (elements, sources) in fed.items():
+            source = _concatenate(sources)
+            for piece in pieces(elements):
+                positions = source[piece.places]
+                if (piece.places < 0).any():
+                    image = places.skip(piece.own.size)
+                    held.setdefault(component, []).append(_Move(piece.own, image))
+                    positions = np.where(piece.places < 0, image, positions)
+                move = _Move(piece.own, positions.astype(np.int32), piece.scales)
+                self._moves[component, piece.own.name] = move
+        self.held = tuple(transfer for c in sorted(held) for transfer in _transfers(Direction.GET, c, held[c]))
+
+    def sets(self, ports: Iterable[Port]) -> tuple[Transfer, ...]:
+        """What sets inputs of one component."""
+        keys = {(port.component, name): None for port in ports for name in self._behind[_target(port)]}
+        return _transfers(Direction.SET, next(iter(keys))[0], [self._moves[key] for key in keys]) if keys else ()
+
+
+def _target(port: Port) -> tuple[int, str]:
+    return port.component, port.variable.name
 
 
 def _mailbox_layout(n: int, layout: MessageLayout, offset: int) -> MailboxLayout:
@@ -236,10 +357,10 @@ def _mailbox_layout(n: int, layout: MessageLayout, offset: int) -> MailboxLayout
     return MailboxLayout(np.ascontiguousarray(values), stamp, time, weight)
 
 
-def _listen(
+def _heard(
     plan: AgentPlan, layout: MessageLayout, mailbox: MailboxLayout, external: Sequence[Positions]
-) -> tuple[Transfer, ...]:
-    """The inputs that the mailbox and the outside feed, grouped by component."""
+) -> list[tuple[Port, Positions]]:
+    """The inputs that the mailbox and the outside feed, and where what they take lies."""
     feeds = [
         (port, mailbox.values[:, layout.slices[name]].reshape(-1).astype(np.int32))
         for name, port in plan.mailbox.values.items()
@@ -252,19 +373,14 @@ def _listen(
         if special is not None:
             feeds.append((special, positions))
     feeds += [(source.port, positions) for source, positions in zip(plan.external, external, strict=True)]
-    feeds = [(port, positions) for port, positions in feeds if positions.size]
-    return tuple(
-        transfer
-        for c in range(len(plan.components))
-        for transfer in _sets([feed for feed in feeds if feed[0].component == c])
-    )
+    return [(port, positions) for port, positions in feeds if positions.size]
 
 
-def _propagation(plan: AgentPlan, where: dict[tuple[int, str], Positions]) -> tuple[Transfer, ...]:
+def _propagation(plan: AgentPlan, places: _Places, inputs: _Inputs) -> tuple[Transfer, ...]:
     """Kahn's algorithm over outputs: read all outputs whose feeding inputs are set, set what they feed, repeat."""
-    source_of = {_key(x.target): _key(x.source) for x in plan.connections}
+    source_of = {_target(x.target): _key(x.source) for x in plan.connections}
     waiting = _unique(connection.source for connection in plan.connections)
-    done: set[tuple[int, str]] = set()
+    done: set[tuple[int, str, str | None]] = set()
     transfers: list[Transfer] = []
     components = range(len(plan.components))
     while waiting:
@@ -272,21 +388,20 @@ def _propagation(plan: AgentPlan, where: dict[tuple[int, str], Positions]) -> tu
         if not ready:
             raise AlgebraicLoopError(_loop_message(plan, waiting, done, source_of))
         for c in components:
-            transfers += _gets([port for port in ready if port.component == c], where)
+            transfers += places.gets([port for port in ready if port.component == c])
         now = {_key(port) for port in ready}
         for c in components:
-            targets = [
-                (x.target, where[_key(x.source)])
-                for x in plan.connections
-                if x.target.component == c and _key(x.source) in now
-            ]
-            transfers += _sets(targets)
+            transfers += inputs.sets(
+                x.target for x in plan.connections if x.target.component == c and _key(x.source) in now
+            )
         done |= now
         waiting = [port for port in waiting if _key(port) not in now]
     return tuple(transfers)
 
 
-def _feeding(plan: AgentPlan, port: Port, source_of: dict[tuple[int, str], tuple[int, str]]) -> list[tuple[int, str]]:
+def _feeding(
+    plan: AgentPlan, port: Port, source_of: dict[tuple[int, str], tuple[int, str, str | None]]
+) -> list[tuple[int, str, str | None]]:
     """The outputs that feed, through one connected input, straight through to this output."""
     inputs = port.variable.dependencies
     if inputs is None:  # the component does not say: assume all of them
@@ -298,8 +413,8 @@ def _feeding(plan: AgentPlan, port: Port, source_of: dict[tuple[int, str], tuple
 def _loop_message(
     plan: AgentPlan,
     waiting: Sequence[Port],
-    done: set[tuple[int, str]],
-    source_of: dict[tuple[int, str], tuple[int, str]],
+    done: set[tuple[int, str, str | None]],
+    source_of: dict[tuple[int, str], tuple[int, str, str | None]],
 ) -> str:
     """Follow the unmet dependencies from any waiting output until one repeats: that is a loop."""
     by_key = {_key(port): port for port in waiting}
@@ -307,7 +422,7 @@ def _loop_message(
     while path[-1] not in path[:-1]:
         path.append(next(key for key in _feeding(plan, by_key[path[-1]], source_of) if key not in done))
     loop = path[path.index(path[-1]) :]
-    names = [f"{plan.components[c].name}.{name}" for c, name in reversed(loop)]
+    names = [f"{plan.components[c].name}.{name}" for c, name, _ in reversed(loop)]
     return (
         f"an algebraic loop: {' -> '.join(names)}; each of these outputs depends directly on the one before it. "
         "Use `coupling: {method: midpoint}`, or break the loop with a component that has a state"

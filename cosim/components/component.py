@@ -16,6 +16,8 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.components.units import IDENTITY, Measure, Scale
+
 Floats = NDArray[np.float64]
 Value = float | int | bool | str
 
@@ -46,6 +48,10 @@ class Variable:
             (then every input must be assumed). For state derivatives it is unused.
         initial: `exact`, `approx` or `calculated` (FMI 3.0, section 2.4.7.5); empty where that says nothing. The start
             value of a `calculated` variable cannot be set.
+        measure: what the unit means, or None where that is not known.
+        derivative_of: the variable whose derivative it is, if the model description says so.
+        elements: where a scenario maps names: the numbers of the component's own variables that it stands for. The
+            component itself does not know it.
     """
 
     name: str
@@ -60,6 +66,9 @@ class Variable:
     items: Mapping[str, int] = field(default_factory=dict)
     dependencies: tuple[str, ...] | None = None
     initial: str = ""
+    measure: Measure | None = None
+    derivative_of: str | None = None
+    elements: tuple[Element, ...] | None = None
 
     @property
     def size(self) -> int:
@@ -72,8 +81,22 @@ class Variable:
         return self.variability == "continuous"
 
 
+@dataclass(frozen=True)
+class Element:
+    """One number of one of a component's own variables.
+
+    Attributes:
+        index: flat, row-major.
+        scale: on the way out of the component or into it, whichever way the values of the variable go.
+    """
+
+    variable: Variable
+    index: int = 0
+    scale: Scale = IDENTITY
+
+
 def head(variable: Variable, shape: tuple[int, ...]) -> Variable:
-    """The leading block of a flattened FMI 2.0 array, where more rows are declared than are used.
+    """The leading block of a flattened FMI 2.0 array, or of a mapped one, where more rows are declared than are used.
 
     Args:
         variable: an array with one reference per element.
@@ -85,7 +108,7 @@ def head(variable: Variable, shape: tuple[int, ...]) -> Variable:
     """
     if shape == variable.shape:
         return variable
-    if len(variable.references) != variable.size:
+    if variable.elements is None and len(variable.references) != variable.size:
         raise ValueError(f"{variable.name} has the shape {variable.shape}; only a structural parameter can change it")
     if len(shape) != len(variable.shape) or any(n > m for n, m in zip(shape, variable.shape, strict=True)):
         raise ValueError(f"{variable.name} has the shape {variable.shape}, too small for {shape}")
@@ -93,7 +116,8 @@ def head(variable: Variable, shape: tuple[int, ...]) -> Variable:
     return replace(
         variable,
         shape=shape,
-        references=tuple(variable.references[i] for i in kept),
+        references=tuple(variable.references[i] for i in kept) if variable.elements is None else (),
+        elements=None if variable.elements is None else tuple(variable.elements[i] for i in kept),
         start=None if variable.start is None else tuple(variable.start[i] for i in kept),
     )
 
@@ -116,6 +140,7 @@ class Description:
         internal_step: Co-Simulation: length in seconds of the steps that it makes inside, None where it does not say.
         usual_step: the step in seconds of its default experiment, None where it has none.
         can_get_and_set_state: whether it can be saved and restored.
+        own: where a scenario maps names: the description as the component gives it.
     """
 
     model: str
@@ -130,6 +155,7 @@ class Description:
     usual_step: float | None = None
     can_get_and_set_state: bool = False
     whole: bool = True
+    own: Description | None = None
 
 
 class Component(ABC):

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from cosim.components.component import Component, Description, Interface
+from cosim.components.presented import own_starts
 from cosim.errors import ComponentError, RunError
 from cosim.plan import AgentPlan, ComponentPlan, Method
 
@@ -55,21 +56,21 @@ def open_components(plan: AgentPlan) -> list[Component]:
 
 
 def _open(plan: ComponentPlan, interface: Interface) -> Component:
+    own = plan.description.own or plan.description
     if plan.path is not None:
         from cosim.components.fmu import open_fmu
 
-        return open_fmu(plan.name, plan.path, interface, plan.description)
+        return open_fmu(plan.name, plan.path, interface, own)
     from cosim.components.python import PythonInstance
 
-    return PythonInstance(plan.name, plan.python or "", interface, plan.description)
+    return PythonInstance(plan.name, plan.python or "", interface, own)
 
 
 def _start(component: Component, plan: ComponentPlan) -> None:
     """Structural parameters first: they size the others."""
-    variables = plan.description.variables
-    by_size = sorted(plan.start, key=lambda name: variables[name].causality != "structuralParameter")
-    for name in by_size:
-        component.start(variables[name], plan.start[name])
+    starts = own_starts(plan.description.variables, plan.start)
+    for variable, values in sorted(starts, key=lambda start: start[0].causality != "structuralParameter"):
+        component.start(variable, values)
 
 
 def _terminate(components: list[Component]) -> None:

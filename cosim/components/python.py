@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cosim.components.component import Component, Description, Floats, Interface, Value, Variable
 from cosim.components.start_values import start_values
+from cosim.components.units import measure
 from cosim.errors import ComponentError, ConfigError, Problem, suggest
 
 _ARRAY_TYPES: dict[str, Any] = {
@@ -109,6 +110,7 @@ class Declaration:
             items=self.items,
             dependencies=self.dependencies,
             initial=self.initial,
+            measure=measure(self.unit),
         )
 
 

@@ -84,6 +84,8 @@ typedef struct {
     const uint32_t *references; /* n_references */
     const int32_t *positions;   /* n_values, indices into the signals */
     void *buffer;               /* n_values of the type */
+    const double *gains;        /* n_values: the values are scaled on their way; NULL where none is */
+    const double *offsets;      /* n_values, with `gains` */
 } Transfer;
 
 /* Transfers from `first` up to, but not including, `last`. */

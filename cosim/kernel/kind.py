@@ -216,16 +216,18 @@ class _TransferTable:
                 variables = [variable for variable in group if variable.size]
                 size = sum(variable.size for variable in variables)
                 if size:
-                    self._add(transfer, dtype, variables, transfer.positions[offset : offset + size])
+                    self._add(transfer, dtype, variables, slice(offset, offset + size))
                 offset += size
         return layout.Transfers(first, len(self.rows))
 
-    def _add(self, transfer: Transfer, dtype: str, variables: list[Variable], positions: Any) -> None:
+    def _add(self, transfer: Transfer, dtype: str, variables: list[Variable], where: slice) -> None:
         to_component = bool(transfer.direction)
+        positions = transfer.positions[where]
         self._calls[transfer.component].access(dtype, to_component=to_component)
         references = np.array([reference for v in variables for reference in v.references], dtype=np.uint32)
         buffer = np.zeros(positions.size)  # no type is wider
-        self._memory += [references, positions, buffer]
+        gains, offsets = (x[where] for x in transfer.scales) if transfer.scales else (None, None)
+        self._memory += [references, positions, buffer, gains, offsets]
         self._variables.append(variables)
         self.rows.append(
             layout.Transfer(
@@ -237,5 +239,7 @@ class _TransferTable:
                 references=references.ctypes.data,
                 positions=positions.ctypes.data,
                 buffer=buffer.ctypes.data,
+                gains=None if gains is None else gains.ctypes.data,
+                offsets=None if offsets is None else offsets.ctypes.data,
             )
         )

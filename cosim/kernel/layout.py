@@ -94,6 +94,8 @@ class Transfer(ctypes.Structure):
         ("references", c_void_p),
         ("positions", c_void_p),
         ("buffer", c_void_p),
+        ("gains", c_void_p),
+        ("offsets", c_void_p),
     )
 
 

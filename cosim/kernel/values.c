@@ -10,6 +10,10 @@ static double to_integer(double value, double smallest, double largest) {
     return nearest > smallest ? (nearest < largest ? nearest : largest) : smallest;
 }
 
+static inline double scaled(const Transfer *transfer, int32_t i, double value) {
+    return transfer->gains ? transfer->gains[i] * value + transfer->offsets[i] : value;
+}
+
 /* What an FMI function for values takes after the instance. */
 #define ARGUMENTS2 transfer->references, (size_t)transfer->n_references, buffer
 #define ARGUMENTS3 ARGUMENTS2, (size_t)transfer->n_values
@@ -24,14 +28,14 @@ static double to_integer(double value, double smallest, double largest) {
                                                                                         ARGUMENTS##version);   \
         if (!check(agent, transfer->component, call, status)) return false;                                    \
         for (int32_t i = 0; i < transfer->n_values; i++)                                                       \
-            agent->signals[transfer->positions[i]] = (double)buffer[i];                                        \
+            agent->signals[transfer->positions[i]] = scaled(transfer, i, (double)buffer[i]);                   \
         return true;                                                                                           \
     }                                                                                                          \
     static bool set_fmi##version##_##Name(Agent *agent, const Transfer *transfer, const double *source) {      \
         const Component *component = &agent->components[transfer->component];                                  \
         fmi##version##Name *buffer = transfer->buffer;                                                         \
         for (int32_t i = 0; i < transfer->n_values; i++) {                                                     \
-            double value = source[transfer->positions[i]];                                                     \
+            double value = scaled(transfer, i, source[transfer->positions[i]]);                                \
             buffer[i] = (fmi##version##Name)(CONVERT);                                                         \
         }                                                                                                      \
         int call = SET_VALUES + transfer->type;                                                                \

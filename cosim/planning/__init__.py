@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.components.component import Value, Variable
+from cosim.components.presented import in_unit_of
 from cosim.errors import ConfigError, Problem
-from cosim.plan import AgentPlan, AnalysisPlan, ComponentPlan, MailboxPlan, Method, Plan
+from cosim.plan import AgentPlan, AnalysisPlan, ComponentPlan, MailboxPlan, Method, Plan, Port
 from cosim.planning.analysis import Member, plan_analysis
 from cosim.planning.blueprint import Blueprint, Part, draw_up
 from cosim.planning.bridge import Bridged, missing_replay, plan_bridge
@@ -19,7 +20,8 @@ from cosim.planning.coupling import warn_of_order
 from cosim.planning.describing import Describer
 from cosim.planning.division import plan_workers
 from cosim.planning.graph import Edge, links_of, resolve_edges
-from cosim.planning.mailbox import mailbox_of, message_variables
+from cosim.planning.mailbox import mailbox_of, message_variables, published_as
+from cosim.planning.mapping import in_words
 from cosim.planning.problems import Problems
 from cosim.planning.resolved import resolved_text
 from cosim.planning.silence import warn_of_silence
@@ -91,15 +93,17 @@ def plan(scenario: Scenario, located: Mapping[str, Path] | None = None) -> Plann
         problems.next_view()
         mailboxes[id(blueprint)] = mailbox_of(blueprint, message, bridged.feeds(names_of[id(blueprint)]))
     components = _components(blueprints, names_of.values(), scenario.spec.seed)
-    members = [Member(name, components[name], blueprint.record) for name, blueprint in blueprints.items()]
+    record = _records(blueprints, problems)
+    members = [Member(name, components[name], record[id(blueprint)]) for name, blueprint in blueprints.items()]
     analysis = AnalysisPlan()
-    if len(members) == len(scenario.agents) and scenario.doubts.all_agents_known:
+    whole = not any(part.mapped.broken for blueprint in blueprints.values() for part in blueprint.parts)
+    if whole and len(members) == len(scenario.agents) and scenario.doubts.all_agents_known:
         analysis = plan_analysis(scenario, members, problems)
     problems.raise_if_any()
     add_warnings(scenario, edges, analysis.leaders, problems)
     warn_of_silence(scenario, edges, analysis, problems)
     layout = MessageLayout(tuple(message), tuple(variable.size for variable in message.values() if variable))
-    agents = tuple(_agents(members, blueprints, mailboxes, bridged, edges, layout))
+    agents = tuple(_agents(members, blueprints, mailboxes, bridged, edges, message))
     _check_feedthrough(agents, blueprints, layout, problems)
     problems.raise_if_any()
     used = {edge.channel for edge in edges}
@@ -184,7 +188,7 @@ def _agents(  # noqa: PLR0917
     mailboxes: Mapping[int, MailboxPlan],
     bridged: Bridged,
     edges: Sequence[Edge],
-    layout: MessageLayout,
+    message: Mapping[str, Variable | None],
 ) -> Iterable[AgentPlan]:
     index_of = {member.name: index for index, member in enumerate(members)}
     incoming: dict[str, list[Edge]] = {member.name: [] for member in members}
@@ -192,8 +196,7 @@ def _agents(  # noqa: PLR0917
         incoming[edge.receiver].append(edge)
     heard = {edge.sender for edge in edges}
     publish = {  # one for agents alike, by which `Wirings` knows them
-        id(blueprint): tuple(blueprint.publish[name] for name in layout.names if name in blueprint.publish)
-        for blueprint in _each_once(blueprints.values())
+        id(blueprint): tuple(_published(blueprint, message)) for blueprint in _each_once(blueprints.values())
     }
     for member in members:
         blueprint, edges_in = blueprints[member.name], incoming[member.name]
@@ -212,6 +215,35 @@ def _agents(  # noqa: PLR0917
             record=member.record,
             external=bridged.external.get(member.name, ()),
         )
+
+
+def _records(blueprints: Mapping[str, Blueprint], problems: Problems) -> Mapping[int, tuple[tuple[str, Port], ...]]:
+    """What is recorded, by blueprint; a column has the unit of the first agent that records it."""
+    first: dict[str, tuple[str, Variable]] = {}
+    records: dict[int, tuple[tuple[str, Port], ...]] = {}
+    for agent, blueprint in blueprints.items():
+        if id(blueprint) in records:
+            continue
+        recorded = []
+        for name, port in blueprint.record:
+            who, column = first.setdefault(name, (agent, port.variable))
+            converted = in_unit_of(port.variable, column)
+            if converted is None:
+                here, there = in_words(port.variable), in_words(column)
+                text = f"{name!r} is recorded in {here} here, but in {there} from agent {who!r}: one column, two units"
+                problems.warning(text, blueprint.where("record"))
+            recorded.append((name, port if converted is None else Port(port.component, converted)))
+        records[id(blueprint)] = tuple(recorded)
+    return records
+
+
+def _published(blueprint: Blueprint, message: Mapping[str, Variable | None]) -> Iterable[Port]:
+    """Where each variable of the message is read, in the message's unit."""
+    for name, common in message.items():
+        port = blueprint.publish.get(name)
+        variable = published_as(port.variable, common) if port and common else None
+        if port is not None and variable is not None:
+            yield Port(port.component, variable)
 
 
 def _components(

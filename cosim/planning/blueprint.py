@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from cosim.components.component import Description, Value, Variable
+from cosim.components.component import Description, Value
+from cosim.components.presented import in_unit_of
 from cosim.errors import Location, suggest
 from cosim.plan import Connection, CouplingPlan, Port
 from cosim.planning.coupling import choose_coupling
 from cosim.planning.describing import Describer, Origin
-from cosim.planning.ports import Ports, a_or_an, numbers, type_mismatch, unit_mismatch
+from cosim.planning.mapping import Mapped, in_words, map_names
+from cosim.planning.ports import Ports, a_or_an, numbers, type_mismatch, warn_of_units
 from cosim.planning.problems import Problems
 from cosim.planning.starts import FLOATS, INTEGERS, NUMERIC, Element, elements, is_settable
 from cosim.scenario.reading import AgentEntry
@@ -25,8 +27,13 @@ class Part:
 
     name: str
     origin: Origin
-    description: Description
+    mapped: Mapped
     start: Mapping[str, tuple[Element, ...]]
+
+    @property
+    def description(self) -> Description:
+        """As the rest of the agent sees it."""
+        return self.mapped.description
 
 
 @dataclass(frozen=True)
@@ -70,7 +77,7 @@ def draw_up(entry: AgentEntry, n_neighbours: int, describer: Describer, period_n
         part = _part(name, component_spec, at, assigned, describer)
         if part is not None:
             parts.append(part)
-    ports = Ports(names, {part.name: part.description for part in parts}, problems)
+    ports = Ports(names, {part.name: part.mapped for part in parts}, problems)
     assigned_ports = tuple(_parameters(ports, entry))
     connections = _connections(ports, entry)
     publish = _publish(ports, entry)
@@ -106,7 +113,7 @@ def _part(
             node.locate("sha256"),
         )
     variables, problems = description.variables, describer.problems
-    start = dict(_start_values(spec, node, variables, problems, structural=True))
+    start = dict(_start_values(spec, node, Mapped(description, {}, frozenset()), problems, structural=True))
     for reference, value in assigned.items():
         component, _, variable = reference.partition(".")
         if component == name and variable in spec.start:
@@ -122,20 +129,25 @@ def _part(
         description = describer.describe(origin, structural, where)
         if description is None:
             return None
-    start.update(_start_values(spec, node, description.variables, problems, structural=False))
-    return Part(name, origin, description, start)
+    mapped = map_names(description, spec, node, problems)
+    start.update(_start_values(spec, node, mapped, problems, structural=False))
+    return Part(name, origin, mapped, start)
 
 
 def _start_values(
-    spec: ComponentSpec, node: Node, variables: Mapping[str, Variable], problems: Problems, *, structural: bool
+    spec: ComponentSpec, node: Node, mapped: Mapped, problems: Problems, *, structural: bool
 ) -> Mapping[str, tuple[Element, ...]]:
     """The start values of the structural parameters, or those of all other variables."""
     found = {}
+    variables = mapped.description.variables
     for name, value in spec.start.items():
         variable = variables.get(name)
+        if variable is None and (structural or name in mapped.broken):
+            continue
         if variable is None:
             known = [other.name for other in variables.values() if is_settable(other)]
-            problems.error(f"no variable {name!r}{suggest(name, known)}", node.locate("start", name, key=True))
+            hint = f"; it is called {mapped.instead[name]!r} here" if name in mapped.instead else suggest(name, known)
+            problems.error(f"no variable {name!r}{hint}", node.locate("start", name, key=True))
         elif (variable.causality == "structuralParameter") is structural:
             try:
                 if value_of_each := elements(value, variable):
@@ -174,25 +186,26 @@ def _connections(ports: Ports, entry: AgentEntry) -> tuple[Connection, ...]:
         if target is not None and target_name in fed:
             ports.problems.error(f"{target_name!r} is connected twice, first {fed[target_name].short}", where)
         fed.setdefault(target_name, where)
-        if source is not None and target is not None and _fits(ports, source, target, where):
-            made.append(Connection(source, target))
+        if source is not None and target is not None and (fitting := _fitting(ports, source, target, where)):
+            made.append(Connection(source, fitting))
     return tuple(made)
 
 
-def _fits(ports: Ports, source: Port, target: Port, where: Location) -> bool:
-    """Whether an output can feed an input: size, type and unit."""
+def _fitting(ports: Ports, source: Port, target: Port, where: Location) -> Port | None:
+    """An input in the unit of the output that feeds it; None, and a problem, if size, type or unit do not fit."""
     names = f"{ports.name(source)!r}", f"{ports.name(target)!r}"
     if source.variable.size != target.variable.size:
         sizes = source.variable.size, target.variable.size
         message = f"{names[0]} has {numbers(sizes[0])}, but {names[1]} takes {numbers(sizes[1])}"
-    elif unit_mismatch(source.variable, target.variable):
-        message = f"{names[0]} is in {source.variable.unit}, but {names[1]} is in {target.variable.unit}"
+    elif (converted := in_unit_of(target.variable, source.variable)) is None:
+        message = f"{names[0]} is in {in_words(source.variable)}, but {names[1]} is in {in_words(target.variable)}"
     elif mismatch := type_mismatch(source.variable, target.variable):
         message = f"{names[0]} {mismatch.format(names[1])}"
     else:
-        return True
+        warn_of_units(names, source.variable, target.variable, where, ports.problems)
+        return Port(target.component, converted)
     ports.problems.error(message, where)
-    return False
+    return None
 
 
 def _publish(ports: Ports, entry: AgentEntry) -> Mapping[str, Port]:

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 
 from cosim.components.component import Variable, head
+from cosim.components.presented import in_unit_of
 from cosim.errors import Location, suggest
 from cosim.plan import MailboxPlan, Port
 from cosim.planning.blueprint import Blueprint, Part
-from cosim.planning.ports import numbers, type_mismatch, unit_mismatch
+from cosim.planning.mapping import in_words
+from cosim.planning.ports import numbers, type_mismatch, warn_of_units
 from cosim.planning.problems import Problems
+from cosim.planning.starts import FLOATS
 from cosim.scenario.spec import MAILBOX_PORTS, PARAMETER_PORTS
 
 
@@ -45,7 +48,7 @@ def mailbox_of(
             continue
         if (rows := _rows(blueprint, port, name, source, where)) is not None:
             feeding[name] = rows
-    _warn_unconnected(blueprint, fed, outside)
+    _check_unconnected(blueprint, fed, outside)
     if not blueprint.n_neighbours:
         return MailboxPlan({}, None, None, None)
     values = {name: port for name, port in feeding.items() if name not in MAILBOX_PORTS}
@@ -67,14 +70,19 @@ def _rows(blueprint: Blueprint, port: Port, name: str, source: Variable | None, 
     fitting = _first_rows(blueprint.parts[port.component], variable, n, width)
     if fitting is None:
         _report_size(blueprint, port, width, where)
-    elif source is not None and unit_mismatch(source, variable):
-        problems.error(f"{name!r} is published in {source.unit}, but {reference!r} is in {variable.unit}", where)
+    elif source is not None and (converted := in_unit_of(fitting, source)) is None:
+        problems.error(
+            f"{name!r} is published in {in_words(source)}, but {reference!r} is in {in_words(variable)}", where
+        )
     elif source is not None and (mismatch := type_mismatch(source, variable)):
         problems.error(f"{name!r} {mismatch.format(repr(reference))}", where)
     elif name == "time" and variable.unit not in (None, "s"):
         problems.error(f"the sample times are in s, but {reference!r} is in {variable.unit}", where)
-    else:
+    elif source is None:
         return Port(port.component, fitting)
+    elif converted is not None:
+        warn_of_units((repr(name), repr(reference)), source, variable, where, problems)
+        return Port(port.component, converted)
     return None
 
 
@@ -82,7 +90,8 @@ def _first_rows(part: Part, variable: Variable, n: int, width: int) -> Variable 
     """The variable with `n` rows of `width` numbers; of an FMI 2.0 array, declared at its largest, the head."""
     if variable.size == n * width:
         return variable
-    if part.description.fmi != "2.0" or variable.size < n * width:
+    flat = part.description.fmi == "2.0" or variable.elements is not None
+    if not flat or variable.size < n * width:
         return None
     shape = (n * width,) if len(variable.shape) == 1 else (n, *variable.shape[1:])
     cut = head(variable, shape)
@@ -109,8 +118,10 @@ def _report_size(blueprint: Blueprint, port: Port, width: int, where: Location) 
         problems.error(f"{reference!r} takes {numbers(size)}, but {hears} receives {n} x {width}", where)
 
 
-def _warn_unconnected(blueprint: Blueprint, fed: Mapping[str, Location], outside: Collection[tuple[int, str]]) -> None:
-    """An input that nothing feeds keeps its start value; without a word in the file that is rarely meant."""
+def _check_unconnected(blueprint: Blueprint, fed: Mapping[str, Location], outside: Collection[tuple[int, str]]) -> None:
+    """An input that nothing feeds keeps its start value, if it has one; without a word in the file that is rarely
+    meant.
+    """
     for index, part in enumerate(blueprint.parts):
         loose = [
             variable.name
@@ -121,18 +132,27 @@ def _warn_unconnected(blueprint: Blueprint, fed: Mapping[str, Location], outside
             and variable.name not in part.start
             and (index, variable.name) not in outside
         ]
+        where = blueprint.where("components", part.name, key=True)
+        for name in [name for name in loose if part.description.variables[name].start is None]:
+            loose.remove(name)
+            blueprint.ports.problems.error(
+                f"'{part.name}.{name}' has no value: nothing feeds it, and the component gives it none to start with; "
+                "connect it, or give it a value under 'start'",
+                where,
+            )
         if loose:
             inputs = ", ".join(f"'{part.name}.{name}'" for name in loose)
             one = len(loose) == 1
             blueprint.ports.problems.warning(
                 f"{inputs} {'is' if one else 'are'} not connected and {'keeps its' if one else 'keep their'} start "
                 f"value{'' if one else 's'}; a value under 'start' says that this is meant",
-                blueprint.where("components", part.name, key=True),
+                where,
             )
 
 
 def message_variables(publishers: Sequence[tuple[str, Blueprint]], problems: Problems) -> Mapping[str, Variable]:
-    """The variables of the network's message; every publisher must have the same names, sizes, units and types.
+    """The variables of the network's message, in the units of the first who publishes it. Every publisher must have the
+    same names, sizes and types, and units that convert.
 
     Args:
         publishers: agents that publish, in the order of the file; at least one.
@@ -166,9 +186,18 @@ def message_variables(publishers: Sequence[tuple[str, Blueprint]], problems: Pro
 
 def _difference(here: Variable, there: Variable) -> tuple[str, str] | None:
     """How two published variables differ, in words."""
-    pairs = (
-        (numbers(here.size), numbers(there.size)),
-        (f"in {here.unit}", f"in {there.unit}"),
-        (f"of type {here.dtype}", f"of type {there.dtype}"),
-    )
-    return next((pair for pair in pairs if pair[0] != pair[1]), None)
+    if here.size != there.size:
+        return numbers(here.size), numbers(there.size)
+    if published_as(here, there) is None:
+        return f"in {in_words(here)}", f"in {in_words(there)}"
+    if here.dtype != there.dtype and not {here.dtype, there.dtype} <= FLOATS:
+        return f"of type {here.dtype}", f"of type {there.dtype}"
+    return None
+
+
+def published_as(here: Variable, message: Variable) -> Variable | None:
+    """A published variable in the unit of the message; None where it is in one that does not convert."""
+    one_unknown = here.measure is None or message.measure is None
+    if one_unknown and here.unit != message.unit and here.unit is not None and message.unit is not None:
+        return None
+    return in_unit_of(here, message)

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from cosim.components.component import Description, Variable
 from cosim.errors import Location, suggest
 from cosim.plan import Port
 from cosim.planning.problems import Problems
 from cosim.planning.starts import FLOATS, INTEGERS, NUMERIC
+
+if TYPE_CHECKING:
+    from cosim.planning.mapping import Mapped
 
 _WHOLE = INTEGERS | {"Boolean", "Enumeration"}
 
@@ -20,12 +24,17 @@ class Ports:
 
     Attributes:
         components: names, in the agent's order.
-        descriptions: of those that could be opened; the others have been reported.
+        mapped: those that could be opened; the others have been reported.
     """
 
     components: Sequence[str]
-    descriptions: Mapping[str, Description]
+    mapped: Mapping[str, Mapped]
     problems: Problems
+
+    @property
+    def descriptions(self) -> Mapping[str, Description]:
+        """Of those that could be opened."""
+        return {name: mapped.description for name, mapped in self.mapped.items()}
 
     def find(self, reference: str, where: Location) -> Port | None:
         """The numeric port that `component.variable` names; None, and a problem, if there is none."""
@@ -33,12 +42,15 @@ class Ports:
         if component not in self.components:
             self.problems.error(f"unknown component {component!r}{suggest(component, self.components)}", where)
             return None
-        description = self.descriptions.get(component)
-        if description is None:
+        mapped = self.mapped.get(component)
+        if mapped is None or name in mapped.broken:
             return None
-        variable = description.variables.get(name)
+        variables = mapped.description.variables
+        variable = variables.get(name)
         if variable is None:
-            self.problems.error(f"{component!r} has no variable {name!r}{suggest(name, description.variables)}", where)
+            instead = mapped.instead.get(name)
+            hint = f"; it is called {instead!r} here" if instead else suggest(name, variables)
+            self.problems.error(f"{component!r} has no variable {name!r}{hint}", where)
             return None
         if variable.dtype not in NUMERIC:
             self.problems.error(f"{reference!r} is of type {variable.dtype}; only numbers can be used here", where)
@@ -76,9 +88,19 @@ def type_mismatch(source: Variable, target: Variable) -> str | None:
     return f"is of type {source.dtype} and cannot feed {{}} of type {target.dtype}"
 
 
-def unit_mismatch(source: Variable, target: Variable) -> bool:
-    """Whether both declare a unit, and not the same one."""
-    return source.unit is not None and target.unit is not None and source.unit != target.unit
+def warn_of_units(
+    names: Sequence[str], source: Variable, target: Variable, where: Location, problems: Problems
+) -> None:
+    """Two units of which one is not known: values pass as they are."""
+    if source.unit is None or target.unit is None or source.unit == target.unit:
+        return
+    unknown = [v.unit for v in (source, target) if v.measure is None]
+    if unknown:
+        problems.warning(
+            f"{names[0]} is in {source.unit}, {names[1]} is in {target.unit}; nothing says what {unknown[0]!r} is, so "
+            "values pass as they are",
+            where,
+        )
 
 
 def numbers(size: int) -> str:

@@ -133,12 +133,10 @@ def _common(agent: AgentPlan, blueprint: Blueprint) -> Tree:
 
 def _component(part: Part, spec: ComponentSpec) -> Tree:
     """A component without its start values."""
-    tree: Tree = (
-        {"python": part.origin.python}
-        if part.origin.python is not None
-        else {"fmu": _fmu_text(spec.fmu or "", str(part.origin.path))}
-    )
-    return tree | spec.model_dump(mode="json", include={"sha256"}, exclude_none=True)
+    python = part.origin.python
+    origin = {"fmu": _fmu_text(spec.fmu or "", str(part.origin.path))} if python is None else {"python": python}
+    written = spec.model_dump(mode="json", by_alias=True, exclude_unset=True, include={"sha256", "inputs", "outputs"})
+    return origin | {key: value for key, value in written.items() if value}
 
 
 def _fmu_text(written: str, path: str) -> str:

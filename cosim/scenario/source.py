@@ -215,6 +215,7 @@ _PLAIN_WORDS = (
     ("'@' that cannot start", "text that begins with '@' must be in quotes"),
     ("'%' that cannot start", "text that begins with '%' must be in quotes"),
     ("'`' that cannot start", "text that begins with '`' must be in quotes"),
+    ("but got '['", "a '[' inside a list or a mapping; a name with brackets must be in quotes, such as 'x[1]'"),
     ("found another document", "a second document ('---'); a scenario is one document"),
 )
 

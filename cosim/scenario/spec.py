@@ -14,7 +14,6 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     BeforeValidator,
-    ConfigDict,
     Discriminator,
     Field,
     FiniteFloat,
@@ -28,6 +27,8 @@ from pydantic_core import CoreSchema
 from typing_extensions import TypeAliasType
 
 from cosim.errors import suggest
+from cosim.scenario.form import FORM
+from cosim.scenario.mapped import MappedInput, MappedOutput
 from cosim.scenario.names import agent_names, scenario_name
 from network.envelope import check_name
 from network.models import AnyChannelModel
@@ -43,7 +44,7 @@ RESERVED_PROCESSES = ("orchestrator", "emulator")
 class Spec(BaseModel):
     """Base of every part of a scenario: no unknown keys, no silent conversions."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, validate_by_name=True, validate_by_alias=True)
+    model_config = FORM
 
 
 # --- names ------------------------------------------------------------------------------------------------------------
@@ -194,6 +195,14 @@ class ComponentSpec(Spec):
         "ends in .fmu or holds a '/', relative to this file.",
     )
     python: str | None = Field(None, description="A Python class that is a component: package.module:Class.")
+    inputs: dict[str, MappedInput] = Field(
+        {},
+        description="Inputs under the names that the rest of the agent uses, each with the component's own behind it.",
+    )
+    outputs: dict[str, MappedOutput] = Field(
+        {},
+        description="Outputs under the names that the rest of the agent uses, each with the component's own behind it.",
+    )
     start: dict[str, StartValue] = Field(
         {}, description="Start values and parameters by variable; one value fills a whole array."
     )

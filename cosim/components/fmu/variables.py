@@ -9,12 +9,13 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from cosim.components.component import Value, Variable
+from cosim.components.units import BASE, Measure, measure
 
 _FMI2_TYPES = {"Real": "Float64", "Integer": "Int32"}
 _ELEMENT = re.compile(r"(?P<name>.+)\[(?P<indices>\d+(?:, ?\d+)*)\]")
@@ -22,19 +23,18 @@ _ELEMENT = re.compile(r"(?P<name>.+)\[(?P<indices>\d+(?:, ?\d+)*)\]")
 
 def fmi2_variables(model: Any) -> dict[str, Variable]:
     """By name, in the file's order; an array takes the place of its first element."""
-    dependencies = _output_dependencies(model)
+    context = _Context(_dependencies(model), _units(model))
     scalars = [
-        _variable(v, _FMI2_TYPES.get(v.type, v.type), (), (v.valueReference,), dependencies)
-        for v in model.modelVariables
+        _variable(v, _FMI2_TYPES.get(v.type, v.type), (), (v.valueReference,), context) for v in model.modelVariables
     ]
     return _rename_dependencies(*_gather(scalars))
 
 
 def fmi3_variables(model: Any, structural: Mapping[str, int]) -> dict[str, Variable]:
     """By name, in the file's order; see `fmi3_shape` for `structural`."""
-    dependencies = _output_dependencies(model)
+    context = _Context(_dependencies(model), _units(model))
     return {
-        v.name: _variable(v, v.type, fmi3_shape(v, structural), (v.valueReference,), dependencies)
+        v.name: _variable(v, v.type, fmi3_shape(v, structural), (v.valueReference,), context)
         for v in model.modelVariables
     }
 
@@ -47,14 +47,24 @@ def fmi3_shape(variable: Any, structural: Mapping[str, int]) -> tuple[int, ...]:
     )
 
 
+@dataclass(frozen=True)
+class _Context:
+    """What other parts of the model description say of its variables."""
+
+    dependencies: Mapping[str, tuple[str, ...] | None]
+    units: Mapping[str, Measure]
+
+
 def _variable(
     v: Any,
     dtype: str,
     shape: tuple[int, ...],
     references: tuple[int, ...],
-    dependencies: Mapping[str, tuple[str, ...] | None],
+    context: _Context,
 ) -> Variable:
     declared = v.declaredType
+    unit = v.unit or (declared.unit if declared else None)
+    relative = v.relativeQuantity or (declared is not None and v.relativeQuantity is None and declared.relativeQuantity)
     return Variable(
         name=v.name,
         causality=v.causality,
@@ -62,13 +72,32 @@ def _variable(
         dtype=dtype,
         shape=shape,
         references=references,
-        unit=v.unit or (declared.unit if declared else None),
+        unit=unit,
         start=_start(v.start, dtype, int(np.prod(shape, dtype=np.int64))),
         description=v.description or "",
         items={item.name: int(item.value) for item in declared.items} if declared and dtype == "Enumeration" else {},
-        dependencies=dependencies.get(v.name) if v.causality == "output" else None,
+        dependencies=context.dependencies.get(v.name) if v.causality in ("output", "local") else None,
         initial=v.initial or "",
+        measure=_measured(unit, context.units, relative=bool(relative)),
+        derivative_of=v.derivative.name if v.derivative is not None else None,
     )
+
+
+def _units(model: Any) -> dict[str, Measure]:
+    """What the model description says of its units."""
+    return {
+        unit.name: Measure(
+            tuple(getattr(unit.baseUnit, base) for base in BASE), unit.baseUnit.factor, unit.baseUnit.offset
+        )
+        for unit in model.unitDefinitions
+        if unit.baseUnit is not None
+    }
+
+
+def _measured(unit: str | None, units: Mapping[str, Measure], *, relative: bool) -> Measure | None:
+    """As the model description defines the unit, else as it is written; of a difference, the offset does not count."""
+    found = units.get(unit or "") or measure(unit)
+    return replace(found, offset=0.0) if found and relative else found
 
 
 def _start(text: str | None, dtype: str, size: int) -> tuple[Value, ...] | None:
@@ -89,9 +118,13 @@ def _number(text: str, dtype: str) -> Value:
     return float(text) if dtype.startswith("Float") else int(text)
 
 
-def _output_dependencies(model: Any) -> dict[str, tuple[str, ...] | None]:
-    """Per output of the model structure, the inputs among its dependencies; None where the file does not say."""
-    return {
+def _dependencies(model: Any) -> dict[str, tuple[str, ...] | None]:
+    """Per output of the model structure, the inputs among its dependencies, None where the file does not say; a state
+    depends on none.
+    """
+    derivatives = (unknown.variable.derivative for unknown in model.derivatives)
+    states = {state.name: () for state in derivatives if state is not None}
+    return states | {
         unknown.variable.name: None
         if unknown.dependencies is None
         else tuple(known.name for known in unknown.dependencies if known.causality == "input")
@@ -137,7 +170,15 @@ def _array(name: str, elements: Mapping[tuple[int, ...], Variable]) -> Variable 
         references=tuple(element.references[0] for element in ordered),
         start=None if None in starts else tuple(start[0] for start in starts if start),
         dependencies=None if None in dependencies else tuple(x for some in dependencies if some for x in some),
+        derivative_of=_array_differentiated(ordered),
     )
+
+
+def _array_differentiated(elements: Iterable[Variable]) -> str | None:
+    """The array whose derivative an array is, element by element."""
+    matches = [_ELEMENT.fullmatch(element.derivative_of or "") for element in elements]
+    names = {match["name"] if match else None for match in matches}
+    return names.pop() if len(names) == 1 else None
 
 
 def _kind(element: Variable) -> tuple[Any, ...]:

@@ -1,0 +1,153 @@
+"""Variables under the names, sizes and units that the rest of an agent uses, and the own ones that they stand for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.components.component import Element, Floats, Value, Variable
+from cosim.components.units import IDENTITY, Scale, conversion
+
+
+def elements_of(variable: Variable) -> tuple[Element, ...]:
+    """The numbers of a component's own variables that a variable stands for; its own, unless it is mapped."""
+    if variable.elements is not None:
+        return variable.elements
+    return tuple(Element(variable, i) for i in range(variable.size))
+
+
+def element_of(variable: Variable, index: int) -> Element:
+    """One number of an own variable; of a flattened FMI 2.0 array, the scalar that it is."""
+    if not variable.shape or len(variable.references) != variable.size or variable.size == 1:
+        return Element(variable, index)
+    place = np.unravel_index(index, variable.shape)
+    scalar = replace(
+        variable,
+        name=f"{variable.name}[{','.join(str(int(i) + 1) for i in place)}]",
+        shape=(),
+        references=(variable.references[index],),
+        start=None if variable.start is None else (variable.start[index],),
+    )
+    return Element(scalar)
+
+
+def in_unit_of(variable: Variable, other: Variable) -> Variable | None:
+    """A variable with values in the unit of another one, where both units are known and differ in more than their name;
+    the variable itself where nothing is to be converted; None where they measure different things.
+    """
+    if variable.unit == other.unit or variable.measure is None or other.measure is None:
+        return variable
+    into = variable.causality == "input"
+    scale = conversion(other.measure, variable.measure) if into else conversion(variable.measure, other.measure)
+    if scale is None:
+        return None
+    if scale == IDENTITY:
+        return variable
+    return scaled(variable, scale, other)
+
+
+def scaled(variable: Variable, scale: Scale, unit_of: Variable) -> Variable:
+    """A variable whose values pass through another scale: on their way in the first one, on their way out the last."""
+    into = variable.causality == "input"
+    start = variable.start
+    return replace(
+        variable,
+        unit=unit_of.unit,
+        measure=unit_of.measure,
+        dtype=variable.dtype if variable.dtype == "Float32" else "Float64",
+        start=None if start is None else tuple((scale.inverse() if into else scale)(float(x)) for x in start),
+        references=(),
+        elements=tuple(
+            replace(element, scale=element.scale.after(scale) if into else scale.after(element.scale))
+            for element in elements_of(variable)
+        ),
+    )
+
+
+# --- what moves between a component and the signals ------------------------------------------------------------------
+
+
+class Scales(NamedTuple):
+    """What each of several numbers is multiplied by, and what is then added to it; both (size,)."""
+
+    gains: Floats
+    offsets: Floats
+
+    def __call__(self, values: Floats) -> Floats:
+        return self.gains * values + self.offsets
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One of a component's own variables, whole: those of its numbers that are wanted, and the others.
+
+    Attributes:
+        places: (size,) which number of the variable that stands for it each of its numbers is; -1 for none.
+        scales: None where no number is scaled.
+    """
+
+    own: Variable
+    places: NDArray[np.int32]
+    scales: Scales | None
+
+
+def pieces(elements: Sequence[Element]) -> Iterator[Piece]:
+    """The own variables behind elements; one that some element repeats comes more than once."""
+    rounds: list[dict[str, list[tuple[int, Element]]]] = [{}]
+    taken: dict[tuple[str, int], int] = {}
+    for place, element in enumerate(elements):
+        key = element.variable.name, element.index
+        number = taken[key] = taken.get(key, -1) + 1
+        if number == len(rounds):
+            rounds.append({})
+        rounds[number].setdefault(element.variable.name, []).append((place, element))
+    for by_name in rounds:
+        for found in by_name.values():
+            yield _piece(found)
+
+
+def _piece(found: Sequence[tuple[int, Element]]) -> Piece:
+    own = found[0][1].variable
+    places = np.full(own.size, -1, np.int32)
+    scales = Scales(np.ones(own.size), np.zeros(own.size))
+    for place, element in found:
+        places[element.index] = place
+        scales.gains[element.index], scales.offsets[element.index] = element.scale
+    plain = all(element.scale == IDENTITY for _, element in found)
+    return Piece(own, places, None if plain else scales)
+
+
+# --- start values -----------------------------------------------------------------------------------------------------
+
+
+def own_starts(
+    variables: Mapping[str, Variable], start: Mapping[str, tuple[Value, ...]]
+) -> Iterable[tuple[Variable, tuple[Value, ...]]]:
+    """Start values of a component's own variables, from those of the variables as a scenario names them.
+
+    Args:
+        variables: by the names that the scenario uses.
+        start: by the same names.
+    """
+    found: dict[str, tuple[Variable, list[Value]]] = {}
+    by_kind = sorted(start.items(), key=lambda item: variables[item[0]].elements is not None)
+    for name, values in by_kind:
+        variable = variables[name]
+        if variable.elements is None:
+            found[name] = variable, list(values)
+            continue
+        for element, value in zip(variable.elements, values, strict=True):
+            own = element.variable
+            _, whole = found.setdefault(own.name, (own, list(own.start or ())))
+            whole[element.index] = value if element.scale == IDENTITY else _unscaled(variable, element, value)
+    return ((own, tuple(whole)) for own, whole in found.values())
+
+
+def _unscaled(variable: Variable, element: Element, value: Value) -> Value:
+    into = variable.causality == "input"
+    number = (element.scale if into else element.scale.inverse())(float(value))
+    return number if element.variable.dtype.startswith("Float") else round(number)
