@@ -1,4 +1,4 @@
-"""The shipped FMUs: `TwoLinkArm` and `ArmSyncController`, each for FMI 2.0 and 3.0.
+"""The shipped FMUs, plants and controllers, each for FMI 2.0 and 3.0.
 
 `python -m fmus.build` builds them from the sources beside this file; see `fmus/README.md` for adding a model.
 """

@@ -143,9 +143,10 @@ def _unload(library: ctypes.CDLL) -> None:
 
 
 # --- packing --------------------------------------------------------------------------------------------------------
-def _sources(folder: Path) -> list[Path]:
+def _sources(folder: Path, model: description.Model) -> list[Path]:
     """Everything that decides what a model's binary and XML are."""
     shared = [*sorted((ROOT / "adapter").glob("*.[ch]")), *sorted((ROOT / "include").glob("*.h"))]
+    shared += [header for name in model.uses for header in sorted((ROOT / name).glob("*.h"))]
     generators = [ROOT / name for name in ("build.py", "c_table.py", "description.py", "model_description.py")]
     return [*shared, *generators, folder / "model.toml", *sorted(folder.glob("*.[ch]"))]
 
@@ -153,7 +154,7 @@ def _sources(folder: Path) -> list[Path]:
 def instantiation_token(folder: Path) -> str:
     """Hash of the sources: an XML file and a binary of different sources don't fit each other."""
     digest = hashlib.sha256()
-    for source in _sources(folder):
+    for source in _sources(folder, description.load(folder / "model.toml")):
         content = source.read_bytes().replace(b"\r\n", b"\n")
         digest.update(f"{source.name}:{len(content)}:".encode() + content)
     return f"{{{digest.hexdigest()}}}"
@@ -187,7 +188,8 @@ def build_model(folder: Path, destination: Path = BUILT) -> list[Path]:
         (work / "table.h").write_text(c_table.table_header(model), encoding="utf-8")
         library = work / f"{model.name}{library_suffix()}"
         sources = [*sorted((ROOT / "adapter").glob("*.c")), *sorted(folder.glob("*.c"))]
-        compile_shared(sources, library, includes=[work, ROOT / "include", ROOT / "adapter", folder])
+        shared = [ROOT / name for name in ("include", "adapter", *model.uses)]
+        compile_shared(sources, library, includes=[work, *shared, folder])
         check_exports(library, [*required_functions(2), *required_functions(3)])
         binary = library.read_bytes()
     destination.mkdir(parents=True, exist_ok=True)

@@ -30,6 +30,8 @@ UNITS: dict[str, dict[str, int]] = {
     "rad/s2": {"rad": 1, "s": -2},
     "rad/s3": {"rad": 1, "s": -3},
     "N": {"kg": 1, "m": 1, "s": -2},
+    "N/m": {"kg": 1, "s": -2},
+    "N.s/m": {"kg": 1, "s": -1},
     "N.m": {"kg": 1, "m": 2, "s": -2},
     "N.m.s/rad": {"kg": 1, "m": 2, "s": -1, "rad": -1},
 }
@@ -57,8 +59,7 @@ class Variable:
         causality: FMI's, or `memory` for what only the model's C code sees.
         kind: `Real`, `Integer`, `Size`, `Boolean` or `Enumeration`.
         enumeration: name of its enumeration, if `kind` says so.
-        columns: number of elements; per row, for a dynamic variable.
-        shape: dimensions; the first is 0 for a dynamic variable.
+        shape: dimensions: numbers, or the names of the structural parameters that say how many.
         start: `columns` start values, or empty.
         depends: names of the variables that its value is computed from; empty for what is set from outside.
         initial_depends: the same in Initialization Mode, where that differs.
@@ -73,9 +74,7 @@ class Variable:
     kind: str = "Real"
     enumeration: str | None = None
     initial: str | None = None
-    columns: int = 1
-    shape: tuple[int, ...] = ()
-    dynamic: bool = False
+    shape: tuple[int | str, ...] = ()
     unit: str | None = None
     start: tuple[float, ...] = ()
     minimum: int | None = None
@@ -92,6 +91,21 @@ class Variable:
         return f"der_{self.state}" if self.state else self.name
 
     @property
+    def extents(self) -> tuple[str, ...]:
+        """The structural parameters among its dimensions."""
+        return tuple(extent for extent in self.shape if isinstance(extent, str))
+
+    @property
+    def dynamic(self) -> bool:
+        """Whether structural parameters size it."""
+        return bool(self.extents)
+
+    @property
+    def columns(self) -> int:
+        """Number of elements; of a dynamic variable, as if every structural parameter were 1."""
+        return math.prod(extent for extent in self.shape if isinstance(extent, int))
+
+    @property
     def evaluated(self) -> bool:
         """Whether `model_evaluate` computes it."""
         return self.causality in ("output", "local") and not self.is_state and self.variability == "continuous"
@@ -99,13 +113,20 @@ class Variable:
 
 @dataclass(frozen=True)
 class Model:
-    """A model as described: `variables` in the order of their value references, `memory` apart."""
+    """A model as described.
+
+    Attributes:
+        variables: in the order of their value references.
+        memory: what only the model's C code sees.
+        uses: folders beside this file with headers that the model's code includes.
+    """
 
     name: str
     description: str
     variables: tuple[Variable, ...]
     memory: tuple[Variable, ...]
     enumerations: dict[str, tuple[Item, ...]] = field(default_factory=dict)
+    uses: tuple[str, ...] = ()
 
     def named(self, name: str) -> Variable:
         return next(variable for variable in self.variables if variable.name == name)
@@ -119,8 +140,14 @@ class Model:
         return [variable for variable in self.variables if variable.state]
 
     @property
-    def structural(self) -> Variable | None:
-        return next((variable for variable in self.variables if variable.kind == "Size"), None)
+    def structural(self) -> list[Variable]:
+        return [variable for variable in self.variables if variable.kind == "Size"]
+
+    def largest(self, variable: Variable) -> tuple[int, ...]:
+        """Its dimensions in FMI 2.0, where structural parameters only say how much of the declared maximum is used."""
+        return tuple(
+            extent if isinstance(extent, int) else self.named(extent).maximum or 0 for extent in variable.shape
+        )
 
     def dependencies(self, variable: Variable) -> list[Variable]:
         """Inputs, states and time that the value of `variable` depends on while the model runs (FMI 2.0.5, 2.2.8)."""
@@ -177,7 +204,8 @@ class _Reader:
     def __init__(self, path: Path, table: dict[str, Any]) -> None:
         self.path = path
         self.table = table
-        self.structural = table.get("structural")
+        structural = table.get("structural", [])
+        self.structural = [structural] if isinstance(structural, dict) else structural
         self.enumerations = {
             name: tuple(Item(**item) for item in items) for name, items in table.get("enumerations", {}).items()
         }
@@ -186,8 +214,8 @@ class _Reader:
 
     def model(self) -> Model:
         self._add({"name": "time", "unit": "s", "description": "Simulation time"}, "independent", "continuous", None)
-        if self.structural:
-            self._add({"type": "Size", **self.structural}, "structuralParameter", "fixed", "exact")
+        for entry in self.structural:
+            self._add({"type": "Size", **entry}, "structuralParameter", "fixed", "exact")
         groups = self.table["variables"]
         unknown = set(groups) - {"parameters", "inputs", "states", "outputs", "locals", "memory"}
         if unknown:
@@ -211,6 +239,7 @@ class _Reader:
             variables=tuple(self.variables),
             memory=tuple(self.memory),
             enumerations=self.enumerations,
+            uses=tuple(self.table.get("uses", ())),
         )
         self._check(model)
         return model
@@ -244,11 +273,9 @@ class _Reader:
         if kind in self.enumerations:
             kind, enumeration = "Enumeration", kind
             minimum, maximum = 1, len(self.enumerations[enumeration])
-        size = entry.get("size", [])
-        dynamic = bool(size) and self.structural is not None and size[0] == self.structural["name"]
-        fixed = tuple(size[1:] if dynamic else size)
-        self._check_entry(name, kind, fixed, entry)
-        columns = math.prod(fixed)
+        shape = tuple(entry.get("size", []))
+        self._check_entry(name, kind, shape, entry)
+        columns = math.prod(extent for extent in shape if isinstance(extent, int))
         start = entry.get("start", ())
         variable = Variable(
             name=name,
@@ -258,9 +285,7 @@ class _Reader:
             kind=kind,
             enumeration=enumeration,
             initial=initial,
-            columns=columns,
-            shape=(0, *fixed) if dynamic else fixed,
-            dynamic=dynamic,
+            shape=shape,
             unit=entry.get("unit"),
             start=tuple(start) if isinstance(start, (list, tuple)) else (start,) * columns,
             minimum=minimum,
@@ -282,8 +307,12 @@ class _Reader:
                 raise DescriptionError(f"{self.path}: {name} has an unknown key {key!r}")
         if kind not in _TYPES:
             raise DescriptionError(f"{self.path}: {name} has an unknown type {kind!r}")
-        if not all(isinstance(extent, int) and extent > 0 for extent in size):
-            raise DescriptionError(f"{self.path}: {name} has a size that is neither a number nor {self.structural!r}")
+        sizing = [other["name"] for other in self.structural]
+        if not all(extent in sizing or (isinstance(extent, int) and extent > 0) for extent in size):
+            known = ", ".join(("a number", *sizing))
+            raise DescriptionError(f"{self.path}: {name} has a size that is none of {known}")
+        if len(size) > 2 or any(isinstance(extent, str) for extent in size[1:] if isinstance(size[0], int)):
+            raise DescriptionError(f"{self.path}: {name} must have at most two dimensions, a variable one first")
         if entry.get("unit") is not None and entry["unit"] not in UNITS:
             raise DescriptionError(f"{self.path}: {name} has an unknown unit {entry['unit']!r}; add it to UNITS")
 
@@ -293,16 +322,13 @@ class _Reader:
         if twice:
             raise DescriptionError(f"{self.path}: {twice} is described twice")
         public = {variable.name for variable in model.variables}
-        rows = model.structural.maximum or 0 if model.structural else 0
         for variable in model.variables:
             for other in (*variable.depends, *(variable.initial_depends or ())):
                 if other not in public:
                     raise DescriptionError(f"{self.path}: {variable.name} depends on {other!r}, which does not exist")
-            if variable.dynamic and variable.is_state:
-                raise DescriptionError(f"{self.path}: the state {variable.name} must have a fixed size")
-            if variable.dynamic and variable.evaluated:
-                raise DescriptionError(f"{self.path}: the computed variable {variable.name} must have a fixed size")
-            if variable.columns * (rows if variable.dynamic else 1) > MAX_ELEMENTS:
+            if variable.is_state and variable.dynamic != model.states[0].dynamic:
+                raise DescriptionError(f"{self.path}: either all states are sized by structural parameters or none is")
+            if math.prod(model.largest(variable)) > MAX_ELEMENTS:
                 raise DescriptionError(f"{self.path}: {variable.name} has more than {MAX_ELEMENTS} elements")
-        if "solver_step" not in public:
-            raise DescriptionError(f"{self.path}: every model needs the parameter solver_step")
+        if model.states and "solver_step" not in public:
+            raise DescriptionError(f"{self.path}: a model with states needs the parameter solver_step")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from itertools import product
+from math import prod
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from fmus.description import MAX_ELEMENTS, UNITS, Model, Variable
@@ -23,12 +24,12 @@ _FMI2_TYPES = {**{kind: kind for kind in _FMI3_TYPES}, "Size": "Integer"}
 
 
 def write_fmi2(model: Model, token: str) -> bytes:
-    """FMI 2.0 (2.0.5, section 2.2): arrays flattened, the structural parameter a fixed parameter."""
+    """FMI 2.0 (2.0.5, section 2.2): arrays flattened, structural parameters fixed parameters."""
     return _Fmi2(model, token).document()
 
 
 def write_fmi3(model: Model, token: str) -> bytes:
-    """FMI 3.0 (3.0.2, section 2.4): arrays with dimensions, one structural parameter."""
+    """FMI 3.0 (3.0.2, section 2.4): arrays with dimensions, numbers or structural parameters."""
     return _Fmi3(model, token).document()
 
 
@@ -147,11 +148,10 @@ class _Fmi2(_Writer):
             value.set("derivative", str(self.index[variable.state, element]))
 
     def subscripts(self, variable: Variable) -> list[str]:
-        """`[1]`, `[2]` or `[1,1]`, `[1,2]`, … row-major; dynamic arrays with the declared maximum of rows."""
+        """`[1]`, `[2]` or `[1,1]`, `[1,2]`, … row-major; dynamic arrays at their declared maximum."""
         if not variable.shape:
             return [""]
-        rows = self.model.structural.maximum or 0 if self.model.structural else 0
-        shape = (rows, *variable.shape[1:]) if variable.dynamic else variable.shape
+        shape = self.model.largest(variable)
         return [f"[{','.join(map(str, index))}]" for index in product(*(range(1, n + 1) for n in shape))]
 
     def structure(self, parent: Element) -> None:
@@ -214,16 +214,16 @@ class _Fmi3(_Writer):
             if variable.minimum is not None and not variable.enumeration:
                 attributes["min"] = str(variable.minimum)
             if variable.start:
-                rows = int(self.model.structural.start[0]) if variable.dynamic and self.model.structural else 1
-                attributes["start"] = _list(_literal(variable, value) for value in variable.start * rows)
+                repeated = prod(int(self.model.named(extent).start[0]) for extent in variable.extents)
+                attributes["start"] = _list(_literal(variable, value) for value in variable.start * repeated)
             if variable.state:
                 attributes["derivative"] = str(self.model.named(variable.state).reference)
             node = SubElement(parent, _FMI3_TYPES[variable.kind], attributes)
             for extent in variable.shape:
-                if extent:
+                if isinstance(extent, int):
                     SubElement(node, "Dimension", start=str(extent))
-                elif self.model.structural:
-                    SubElement(node, "Dimension", valueReference=str(self.model.structural.reference))
+                else:
+                    SubElement(node, "Dimension", valueReference=str(self.model.named(extent).reference))
 
     def structure(self, parent: Element) -> None:
         outputs, initial = self.unknowns()

@@ -1,11 +1,11 @@
 /* Planar two-link arm: M(p) v' = u - C(p, v) v - G(p). Equations: README.md beside this file. */
 #include "model.h"
+#include "no_events.h"
 
 #include <math.h>
 
 bool model_initialize(Model *model) {
     Values *x = model->values;
-    if (!(x->solver_step > 0.0)) return fail(model, "solver_step must be more than 0 s, not %.9g s", x->solver_step);
     if (!(x->m1 > 0.0 && x->m2 > 0.0)) return fail(model, "the masses m1 and m2 must be more than 0 kg");
     if (!(x->I1 >= 0.0 && x->I2 >= 0.0)) return fail(model, "the inertias I1 and I2 must not be negative");
     x->theta[0] = x->m1 * x->lc1 * x->lc1 + x->m2 * (x->l1 * x->l1 + x->lc2 * x->lc2) + x->I1 + x->I2;
@@ -33,14 +33,4 @@ bool model_evaluate(Model *model) {
     x->der_v[0] = (m22 * torque1 - m12 * torque2) / determinant;
     x->der_v[1] = (m11 * torque2 - m12 * torque1) / determinant;
     return true;
-}
-
-bool model_update(Model *model) {
-    (void)model;
-    return true;
-}
-
-double model_next_event(const Model *model) {
-    (void)model;
-    return INFINITY;
 }

@@ -330,7 +330,7 @@ fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance instance, size_t *nEventI
 }
 
 fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance instance, size_t *nContinuousStates) {
-    *nContinuousStates = N_STATES;
+    *nContinuousStates = instance_states(instance);
     return fmi3OK;
 }
 

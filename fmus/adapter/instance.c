@@ -44,12 +44,15 @@ void history_drop(Model *model, size_t count) {
 
 /* --- storage ---------------------------------------------------------------------------------------------------- */
 
-/* Writes "name", "name[2]" or, for a dynamic variable of more than one column, "name[3,1]". */
-static const char *element_name(char *buffer, const Variable *variable, size_t element) {
-    if (variable->dynamic && variable->size > 1)
-        snprintf(buffer, LOG_LENGTH / 2, "%s[%zu,%zu]", variable->name, element / variable->size + 1,
-                 element % variable->size + 1);
-    else if (variable->dynamic || variable->size > 1)
+static const size_t *extents_of(const Instance *instance) { return (const size_t *)&instance->model.extents; }
+
+/* Writes "name", "name[2]" or, for a variable of two dimensions, "name[3,1]". */
+static const char *element_name(char *buffer, const Instance *instance, const Variable *variable, size_t element) {
+    size_t columns = variable->size;
+    if (variable->n_extents == 2) columns *= extents_of(instance)[variable->extents[1]];
+    if (variable->n_extents == 2 || (variable->n_extents == 1 && variable->size > 1))
+        snprintf(buffer, LOG_LENGTH / 2, "%s[%zu,%zu]", variable->name, element / columns + 1, element % columns + 1);
+    else if (variable->n_extents == 1 || variable->size > 1)
         snprintf(buffer, LOG_LENGTH / 2, "%s[%zu]", variable->name, element + 1);
     else
         snprintf(buffer, LOG_LENGTH / 2, "%s", variable->name);
@@ -57,13 +60,17 @@ static const char *element_name(char *buffer, const Variable *variable, size_t e
 }
 
 size_t instance_size(const Instance *instance, const Variable *variable) {
-    return variable->dynamic ? instance->rows * variable->size : variable->size;
+    size_t size = variable->size;
+    for (int i = 0; i < variable->n_extents; i++) size *= extents_of(instance)[variable->extents[i]];
+    return size;
 }
 
-void *instance_data(const Instance *instance, const Variable *variable) {
-    char *values = (char *)instance->model.values;
-    return variable->dynamic ? values + sizeof(Values) + instance->rows * variable->offset : values + variable->offset;
+static void *data_of(const Model *model, const Variable *variable) {
+    if (variable->n_extents == 0) return (char *)model->values + variable->offset;
+    return *(void **)((char *)&model->arrays + variable->offset);
 }
+
+void *instance_data(const Instance *instance, const Variable *variable) { return data_of(&instance->model, variable); }
 
 static void set_start(const Instance *instance, const Variable *variable) {
     if (!variable->start) return;
@@ -78,29 +85,68 @@ static void set_start(const Instance *instance, const Variable *variable) {
     }
 }
 
-/* Room for `rows` rows of the dynamic arrays, which get their start values; the other values are kept. */
-static bool resize(Instance *instance, size_t rows) {
-    if (ROW_BYTES > 0 && rows > (SIZE_MAX / 2 - sizeof(Values)) / (ROW_BYTES + 1))
-        return fail(&instance->model, "%zu rows are more than there is memory for", rows);
-    size_t size = sizeof(Values) + rows * ROW_BYTES;
-    Values *values = realloc(instance->model.values, size);
-    if (!values) return fail(&instance->model, "%zu rows are more than there is memory for", rows);
-    memset((char *)values + sizeof(Values), 0, rows * ROW_BYTES);
-    instance->model.values = values;
-    instance->rows = rows;
-    instance->size = size;
-    bind_arrays(&instance->model.arrays, (char *)values + sizeof(Values), rows);
-    for (size_t i = 0; i < N_VARIABLES; i++)
-        if (variables[i].dynamic) set_start(instance, &variables[i]);
+static bool fail_for_memory(Model *model, const Extents *extents) {
+    char sizes[LOG_LENGTH / 2] = "";
+    const size_t *number = (const size_t *)extents;
+    for (size_t i = 0, used = 0; i < N_VARIABLES && used + 1 < sizeof sizes; i++)
+        if (variables[i].type == SIZE) {
+            snprintf(sizes + used, sizeof sizes - used, "%s%s = %zu", used ? " and " : "", variables[i].name, *number++);
+            used = strlen(sizes);
+        }
+    return fail(model, "%s: more than there is memory for", sizes);
+}
+
+static bool same_size(const Variable *variable, const Extents *one, const Extents *other) {
+    for (int i = 0; i < variable->n_extents; i++)
+        if (((const size_t *)one)[variable->extents[i]] != ((const size_t *)other)[variable->extents[i]]) return false;
     return true;
 }
 
+/* Room for dynamic arrays of this size. Those whose size changes get their start values, all others are kept. */
+static bool resize(Instance *instance, const Extents *extents) {
+    Model *model = &instance->model;
+    double count = total_count(extents);
+    if (count > 1e15) return fail_for_memory(model, extents);
+    size_t size = sizeof(Values) + (size_t)count * 8;
+    Values *values = calloc(1, size);
+    if (!values) return fail_for_memory(model, extents);
+    Model before = *model;
+    model->values = values;
+    model->extents = *extents;
+    bind_arrays(&model->arrays, (char *)values + sizeof(Values), extents);
+    if (before.values) memcpy(values, before.values, sizeof(Values));
+    for (size_t i = 0; i < N_VARIABLES; i++) {
+        const Variable *variable = &variables[i];
+        if (variable->n_extents == 0) continue;
+        if (before.values && same_size(variable, &before.extents, extents))
+            memcpy(data_of(model, variable), data_of(&before, variable), 8 * instance_size(instance, variable));
+        else
+            set_start(instance, variable);
+    }
+    free(before.values);
+    free(instance->scratch);
+    instance->scratch = NULL;
+    instance->size = size;
+    return true;
+}
+
+static Extents wanted_extents(const Instance *instance) {
+    Extents extents = {0};
+    if (instance->flattened)
+        memcpy(&extents, maximal, N_EXTENTS * sizeof(size_t));
+    else
+        read_extents(instance->model.values, &extents);
+    return extents;
+}
+
 bool instance_reset(Instance *instance) {
-    if (!resize(instance, 0)) return false;
+    Extents extents = {0};
+    if (!resize(instance, &extents)) return false;
     memset(instance->model.values, 0, sizeof(Values));
     for (size_t i = 0; i < N_VARIABLES; i++)
-        if (!variables[i].dynamic) set_start(instance, &variables[i]);
-    if (!resize(instance, instance->flattened ? MAX_ROWS : start_rows(instance->model.values))) return false;
+        if (variables[i].n_extents == 0) set_start(instance, &variables[i]);
+    extents = wanted_extents(instance);
+    if (!resize(instance, &extents)) return false;
     instance->model.history.length = 0;
     instance->model.message[0] = '\0';
     instance->mode = INSTANTIATED;
@@ -129,6 +175,7 @@ void instance_free(Instance *instance) {
     if (!instance) return;
     free(instance->model.values);
     free(instance->model.history.data);
+    free(instance->scratch);
     free(instance->name);
     free(instance);
 }
@@ -154,7 +201,8 @@ bool instance_expect(Instance *instance, int modes, const char *function) {
 }
 
 bool instance_exit_configuration(Instance *instance) {
-    if (!instance->flattened && !resize(instance, start_rows(instance->model.values))) return false;
+    Extents extents = wanted_extents(instance);
+    if (!resize(instance, &extents)) return false;
     instance->mode = INSTANTIATED;
     return true;
 }
@@ -212,7 +260,7 @@ bool instance_set_real(Instance *instance, const Variable *variable, size_t elem
     char name[LOG_LENGTH / 2];
     if (!isfinite(value))
         return fail(&instance->model, "%s was set to a value that is not finite at t = %.9g s",
-                    element_name(name, variable, element), instance->model.values->time);
+                    element_name(name, instance, variable, element), instance->model.values->time);
     ((double *)instance_data(instance, variable))[element] = value;
     instance->stale = true;
     return true;
@@ -223,7 +271,7 @@ bool instance_set_integer(Instance *instance, const Variable *variable, size_t e
     int64_t max = variable->type == SIZE && !instance->flattened ? INT64_MAX : variable->max;
     if (value < variable->min || value > max)
         return fail(&instance->model, "%s was set to %lld, which is not from %lld to %lld",
-                    element_name(name, variable, element), (long long)value, (long long)variable->min, (long long)max);
+                    element_name(name, instance, variable, element), (long long)value, (long long)variable->min, (long long)max);
     ((int64_t *)instance_data(instance, variable))[element] = value;
     instance->stale = true;
     return true;
@@ -231,32 +279,51 @@ bool instance_set_integer(Instance *instance, const Variable *variable, size_t e
 
 /* --- evaluation ------------------------------------------------------------------------------------------------- */
 
-/* The generated struct Values starts with the states; their derivatives follow in the same order. */
-static double *states_of(const Instance *instance) { return (double *)instance->model.values; }
+/* The states, of fixed size at the start of the generated struct Values, else at the start of the arrays behind it;
+ * their derivatives follow in the same order, and then the other computed variables. */
+static double *states_of(const Instance *instance) {
+    return (double *)(instance->model.values + (DYNAMIC_STATES ? 1 : 0));
+}
 
-static double *derivatives_of(const Instance *instance) { return states_of(instance) + N_STATES; }
+size_t instance_states(const Instance *instance) {
+    return DYNAMIC_STATES ? (size_t)state_count(&instance->model.extents) : N_STATES;
+}
 
-/* Says which of the first N_CHECKED numbers is not finite: states, then derivatives, then computed variables. */
-static bool fail_not_finite(Instance *instance, size_t index) {
+static double *derivatives_of(const Instance *instance) { return states_of(instance) + instance_states(instance); }
+
+/* Says which variable a number that is not finite belongs to. */
+static bool fail_not_finite(Instance *instance, const double *number) {
     char name[LOG_LENGTH / 2] = "?";
-    size_t offset = index * sizeof(double);
     for (size_t i = 0; i < N_VARIABLES; i++) {
-        const Variable *variable = &variables[i];
-        if (!variable->dynamic && offset >= variable->offset && offset < variable->offset + variable->size * 8)
-            element_name(name, variable, (offset - variable->offset) / sizeof(double));
+        const double *data = instance_data(instance, &variables[i]);
+        if (number >= data && number < data + instance_size(instance, &variables[i]))
+            element_name(name, instance, &variables[i], (size_t)(number - data));
     }
-    const char *kind = index < N_STATES ? "state" : index < 2 * N_STATES ? "derivative" : "variable";
+    const double *states = states_of(instance), *derivatives = derivatives_of(instance);
+    const double *rest = derivatives + instance_states(instance);
+    const char *kind = number >= states && number < derivatives ? "state" :
+                       number >= derivatives && number < rest ? "derivative" : "variable";
     return fail(&instance->model, "%s %s is not finite at t = %.9g s", kind, name, instance->model.values->time);
+}
+
+static bool check_finite(Instance *instance, const double *numbers, size_t count) {
+    for (size_t i = 0; i < count; i++)
+        if (!isfinite(numbers[i])) return fail_not_finite(instance, numbers + i);
+    return true;
 }
 
 bool instance_refresh(Instance *instance) {
     if (!instance->stale) return true;
     Model *model = &instance->model;
-    if (instance->mode == INITIALIZATION && !model_initialize(model)) return false;
+    if (instance->mode == INITIALIZATION) {
+        double step = SOLVER_STEP(model->values);
+        if (!(step > 0.0)) return fail(model, "solver_step must be more than 0 s, not %.9g s", step);
+        if (!model_initialize(model)) return false;
+    }
     if (!model_evaluate(model)) return false;
-    const double *checked = states_of(instance);
-    for (size_t i = 0; i < N_CHECKED; i++)
-        if (!isfinite(checked[i])) return fail_not_finite(instance, i);
+    if (!check_finite(instance, (const double *)model->values, N_CHECKED)) return false;
+    if (N_EXTENTS && !check_finite(instance, (const double *)(model->values + 1), (size_t)checked_count(&model->extents)))
+        return false;
     instance->stale = false;
     return true;
 }
@@ -277,8 +344,8 @@ bool instance_set_time(Instance *instance, double time) {
 }
 
 static bool check_count(Instance *instance, size_t count) {
-    if (count == N_STATES) return true;
-    return fail(&instance->model, "there are %d continuous states, not %zu", (int)N_STATES, count);
+    size_t states = instance_states(instance);
+    return count == states || fail(&instance->model, "there are %zu continuous states, not %zu", states, count);
 }
 
 bool instance_expect_none(Instance *instance, size_t count, const char *what) {
@@ -288,27 +355,27 @@ bool instance_expect_none(Instance *instance, size_t count, const char *what) {
 bool instance_get_states(Instance *instance, double *states, size_t count) {
     if (!check_count(instance, count)) return false;
     if (instance->mode == INITIALIZATION && !instance_refresh(instance)) return false;
-    memcpy(states, states_of(instance), N_STATES * sizeof(double));
+    memcpy(states, states_of(instance), count * sizeof(double));
     return true;
 }
 
 bool instance_get_derivatives(Instance *instance, double *derivatives, size_t count) {
     if (!check_count(instance, count) || !instance_refresh(instance)) return false;
-    memcpy(derivatives, derivatives_of(instance), N_STATES * sizeof(double));
+    memcpy(derivatives, derivatives_of(instance), count * sizeof(double));
     return true;
 }
 
 bool instance_get_nominals(Instance *instance, double *nominals, size_t count) {
     if (!check_count(instance, count)) return false;
-    for (size_t i = 0; i < N_STATES; i++) nominals[i] = 1.0; /* as modelDescription.xml says by saying nothing */
+    for (size_t i = 0; i < count; i++) nominals[i] = 1.0; /* as modelDescription.xml says by saying nothing */
     return true;
 }
 
 bool instance_set_states(Instance *instance, const double *states, size_t count) {
     if (!check_count(instance, count)) return false;
-    for (size_t i = 0; i < N_STATES; i++)
-        if (!isfinite(states[i])) return fail_not_finite(instance, i);
-    memcpy(states_of(instance), states, N_STATES * sizeof(double));
+    for (size_t i = 0; i < count; i++)
+        if (!isfinite(states[i])) return fail_not_finite(instance, states_of(instance) + i);
+    memcpy(states_of(instance), states, count * sizeof(double));
     instance->stale = true;
     return true;
 }
@@ -319,25 +386,29 @@ bool instance_set_states(Instance *instance, const double *states, size_t count)
 static bool stage(Instance *instance, double time, const double *start, double factor, const double *slope,
                   double *derivatives) {
     double *states = states_of(instance);
-    for (size_t i = 0; i < N_STATES; i++) states[i] = start[i] + factor * slope[i];
+    size_t count = instance_states(instance);
+    for (size_t i = 0; i < count; i++) states[i] = start[i] + factor * slope[i];
     instance->model.values->time = time;
     instance->stale = true;
     if (!instance_refresh(instance)) return false;
-    memcpy(derivatives, derivatives_of(instance), N_STATES * sizeof(double));
+    memcpy(derivatives, derivatives_of(instance), count * sizeof(double));
     return true;
 }
 
 /* One step of the classical Runge-Kutta method. */
 static bool runge_kutta(Instance *instance, double begin, double end) {
-    double y[N_STATES + 1], k1[N_STATES + 1], k2[N_STATES + 1], k3[N_STATES + 1], k4[N_STATES + 1];
     double *states = states_of(instance);
+    size_t count = instance_states(instance);
+    if (!instance->scratch) instance->scratch = malloc(5 * (count + 1) * sizeof(double));
+    if (!instance->scratch) return fail(&instance->model, "out of memory for a step of the solver");
+    double *y = instance->scratch, *k1 = y + count, *k2 = k1 + count, *k3 = k2 + count, *k4 = k3 + count;
     double h = end - begin, middle = begin + 0.5 * h;
-    memcpy(y, states, N_STATES * sizeof(double));
-    memset(k4, 0, sizeof k4); /* the slope of the first stage, whose factor is 0 */
+    memcpy(y, states, count * sizeof(double));
+    memset(k4, 0, count * sizeof(double)); /* the slope of the first stage, whose factor is 0 */
     if (!stage(instance, begin, y, 0.0, k4, k1) || !stage(instance, middle, y, 0.5 * h, k1, k2) ||
         !stage(instance, middle, y, 0.5 * h, k2, k3) || !stage(instance, end, y, h, k3, k4))
         return false;
-    for (size_t i = 0; i < N_STATES; i++) states[i] = y[i] + h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]);
+    for (size_t i = 0; i < count; i++) states[i] = y[i] + h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]);
     instance->model.values->time = end;
     instance->stale = true;
     return true;
@@ -348,7 +419,7 @@ static bool integrate(Instance *instance, double end) {
     double begin = instance->model.values->time;
     double length = end - begin;
     if (length <= 0.0) return true;
-    double count = fmax(1.0, ceil(length / instance->model.values->solver_step - STEP_TOLERANCE));
+    double count = fmax(1.0, ceil(length / SOLVER_STEP(instance->model.values) - STEP_TOLERANCE));
     for (double i = 0.0; i < count; i += 1.0) {
         double from = begin + length * (i / count);
         double to = i + 1.0 < count ? begin + length * ((i + 1.0) / count) : end;
@@ -383,7 +454,7 @@ struct Snapshot {
     char token[32]; /* of the sources that wrote it, cut off */
     uint64_t bytes; /* of the whole snapshot */
     uint64_t mode;
-    uint64_t rows;
+    Extents extents;
     uint64_t size;    /* bytes of values and arrays, which follow */
     uint64_t history; /* number of doubles, which follow those */
     double start_time;
@@ -393,7 +464,7 @@ struct Snapshot {
 static Snapshot snapshot_header(const Instance *instance) {
     Snapshot header = {
         .mode = instance->mode,
-        .rows = instance->rows,
+        .extents = instance->model.extents,
         .size = instance->size,
         .history = instance->model.history.length,
         .start_time = instance->start_time,
@@ -424,7 +495,7 @@ Snapshot *instance_save(Instance *instance) {
 bool instance_restore(Instance *instance, const Snapshot *snapshot) {
     if (!snapshot) return fail(&instance->model, "there is no FMU state to set");
     const char *bytes = (const char *)(snapshot + 1);
-    if (!resize(instance, (size_t)snapshot->rows)) return false;
+    if (!resize(instance, &snapshot->extents)) return false;
     memcpy(instance->model.values, bytes, instance->size);
     instance->model.history.length = 0;
     if (snapshot->history > 0 &&
@@ -451,10 +522,10 @@ Snapshot *instance_deserialize(Instance *instance, const void *bytes, size_t siz
     Snapshot header, own = snapshot_header(instance);
     if (size >= sizeof header) memcpy(&header, bytes, sizeof header);
     if (size < sizeof header || memcmp(header.token, own.token, sizeof own.token) != 0 || header.bytes != size ||
-        header.size > size || header.history > size || header.rows > size ||
-        header.size != sizeof(Values) + header.rows * ROW_BYTES ||
+        header.size > size || header.history > size ||
+        (double)header.size != (double)sizeof(Values) + 8.0 * total_count(&header.extents) ||
         header.bytes != sizeof header + header.size + header.history * sizeof(double) ||
-        (instance->flattened && header.rows != MAX_ROWS)) {
+        (instance->flattened && memcmp(&header.extents, maximal, N_EXTENTS * sizeof(size_t)) != 0)) {
         fail(&instance->model, "these %zu bytes are not a serialized state of this FMU", size);
         return NULL;
     }

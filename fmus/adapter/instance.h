@@ -32,9 +32,10 @@ typedef struct {
     Type type;
     int settable;       /* the modes in which it can be set, as a mask */
     Computed computed;
-    bool dynamic;       /* sized by the structural parameter */
-    size_t size;        /* number of elements; for a dynamic variable, per row */
-    size_t offset;      /* bytes from the start of Values; for a dynamic variable, bytes per row before it */
+    int n_extents;      /* how many of its dimensions are structural parameters; the first ones */
+    int extents[2];     /* which of the structural parameters those are */
+    size_t size;        /* number of elements, but for the extents */
+    size_t offset;      /* bytes from the start of Values; with extents, of the pointer from the start of Arrays */
     const double *start; /* `size` start values, or NULL */
     int64_t min, max;   /* of an integer, size or enumeration */
 } Variable;
@@ -45,10 +46,10 @@ struct Instance {
     Model model;
     Mode mode;
     bool model_exchange;
-    bool flattened;  /* FMI 2.0: dynamic arrays have room for the declared maximum of rows */
+    bool flattened;  /* FMI 2.0: dynamic arrays have room for the declared maximum */
     bool stale;      /* something changed since the computed variables were last evaluated */
-    size_t rows;     /* rows of the dynamic arrays that there is room for */
     size_t size;     /* bytes behind model.values */
+    double *scratch; /* five vectors of the states' length for the solver, from the first step on */
     double start_time;
     double stop_time; /* INFINITY if not defined */
     void (*log)(const Instance *instance); /* passes model.message to the environment as an error */
@@ -72,6 +73,7 @@ bool instance_exit_configuration(Instance *instance);
 
 /* The variable of that reference, if it has one of the types (a mask). NULL, with a message, if not. */
 const Variable *instance_variable(Instance *instance, unsigned int reference, int types);
+size_t instance_states(const Instance *instance);
 size_t instance_size(const Instance *instance, const Variable *variable);
 void *instance_data(const Instance *instance, const Variable *variable);
 bool instance_can_get(Instance *instance, const Variable *variable);

@@ -1,6 +1,6 @@
 /* What a model supplies to the FMI adapter, and what the adapter gives it.
  *
- * A model is a table of variables (`model.toml`, from which the build generates `variables.h`) and the five functions
+ * A model is a table of variables (`model.toml`, from which the build generates `variables.h`) and the four functions
  * at the end of this file. It knows nothing of FMI versions, value references, modes or solvers.
  */
 #ifndef MODEL_H
@@ -10,7 +10,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "variables.h" /* generated: the structs Values and Arrays, and N_STATES */
+#include "variables.h" /* generated: the structs Values, Extents and Arrays */
 
 #define LOG_LENGTH 256
 
@@ -27,7 +27,8 @@ typedef struct {
 /* One instance, as its model sees it. */
 typedef struct {
     Values *values;  /* every variable of fixed size; `values->time` is the independent variable */
-    Arrays arrays;   /* every variable sized by the structural parameter, row-major */
+    Arrays arrays;   /* every variable sized by structural parameters, row-major */
+    Extents extents; /* what there is room for in them: the structural parameters; in FMI 2.0 their maximum */
     History history;
     char message[LOG_LENGTH]; /* why the last call failed */
 } Model;

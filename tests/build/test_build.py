@@ -175,8 +175,8 @@ def test_library_without_its_functions(tmp_path: Path) -> None:
 
 
 def test_model_without_one_of_its_functions(model: Path, tmp_path: Path) -> None:
-    (model / "model.c").write_text(CODE.replace("double model_next_event", "static double next"), encoding="utf-8")
-    with pytest.raises(build.BuildError, match="model_next_event"):
+    (model / "model.c").write_text(CODE.replace("bool model_evaluate", "static bool evaluate"), encoding="utf-8")
+    with pytest.raises(build.BuildError, match="model_evaluate"):
         build.build_model(model, tmp_path)
 
 
@@ -186,12 +186,12 @@ def test_model_without_one_of_its_functions(model: Path, tmp_path: Path) -> None
         ('unit = "m",', 'unit = "furlong",', "x has an unknown unit 'furlong'; add it to UNITS"),
         ('depends = ["x", "k"]', 'depends = ["y"]', r"der\(x\) depends on 'y', which does not exist"),
         ('name = "k",', 'name = "x",', "x is described twice"),
-        ('name = "solver_step"', 'name = "step"', "every model needs the parameter solver_step"),
+        ('name = "solver_step"', 'name = "step"', "a model with states needs the parameter solver_step"),
         ("start = 1.0,", "", r"x must have 1 start value\(s\)"),
         ("start = 2.0", 'start = 2.0, type = "Float"', "k has an unknown type 'Float'"),
         ("start = 2.0", "start = 2.0, colour = 1", "k has an unknown key 'colour'"),
         ("start = 2.0", "start = 2.0, size = [300]", "k has more than 256 elements"),
-        ("start = 2.0", 'start = 2.0, size = ["n"]', r"k has a size that is neither a number nor"),
+        ("start = 2.0", 'start = 2.0, size = ["n"]', "k has a size that is none of a number"),
         ("parameters =", "constants =", "unknown group of variables 'constants'"),
         ('name = "Decay"', "", "'name' is missing"),
         ('name = "Decay"', "name = ", r"model\.toml: Invalid value"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import shutil
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,13 @@ from fmpy.fmi2 import (
 from fmpy.fmi3 import FMU3Model, FMU3Slave
 from numpy.typing import NDArray
 
+from fmus import build
+from fmus.description import load
+
 Floats = NDArray[np.float64]
 
 ME = "ModelExchange"
 CS = "CoSimulation"
-MAX_ROWS = 16  # of the controller's arrays in FMI 2.0
 
 
 class Driver:
@@ -37,7 +40,8 @@ class Driver:
         self.version = int(description.fmiVersion[0])
         self.interface = interface
         self.variables = {variable.name: variable for variable in description.modelVariables}
-        self.rows = 1
+        self.model = load(build.ROOT / description.modelName / "model.toml")
+        self.sizes = {variable.name: int(variable.start[0]) for variable in self.model.structural}
         self.time = 0.0
         kinds = {(2, ME): FMU2Model, (2, CS): FMU2Slave, (3, ME): FMU3Model, (3, CS): FMU3Slave}
         self.fmu = kinds[self.version, interface](
@@ -72,15 +76,20 @@ class Driver:
     # --- values -----------------------------------------------------------------------------------------------------
     def references(self, name: str) -> tuple[list[int], str, int]:
         """Value references, FMI type and number of elements of a variable or array (by its name without subscripts)."""
+        extents = self.shape(name)
         if self.version == 3:
             variable = self.variables[name]
-            shape = [self.rows if d.start is None else int(d.start) for d in variable.dimensions]
-            return [variable.valueReference], variable.type, int(np.prod(shape, dtype=int))
-        stem = f"{name[:-1]}[" if name.endswith(")") else f"{name}["
-        elements = [v for n, v in self.variables.items() if n == name or n.startswith(stem)]
-        if name.startswith("neighbour_") or name == "weight":
-            elements = elements[: self.rows * len(elements) // MAX_ROWS]
-        return [v.valueReference for v in elements], elements[0].type, len(elements)
+            return [variable.valueReference], variable.type, int(np.prod(extents, dtype=int))
+        stem, end = (name[:-1], ")") if name.startswith("der(") else (name, "")
+        subscripts = [f"[{','.join(map(str, index))}]" for index in product(*(range(1, n + 1) for n in extents))]
+        names = [f"{stem}{subscript}{end}" for subscript in subscripts] if extents else [name]
+        kind = self.variables[names[0]].type if names else self.model.named(name).kind
+        return [self.variables[n].valueReference for n in names], kind, len(names)
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """The dimensions in use."""
+        shape = self.model.named(name).shape
+        return tuple(extent if isinstance(extent, int) else self.sizes[extent] for extent in shape)
 
     def get(self, name: str) -> Floats:
         """Flat values, as float64."""
@@ -96,7 +105,8 @@ class Driver:
     def set(self, **values: Any) -> None:
         for name, value in values.items():
             references, kind, size = self.references(name)
-            flat = np.broadcast_to(np.asarray(value, dtype=np.float64).ravel(), (size,)).tolist()
+            array = np.asarray(value, dtype=np.float64)
+            flat = (array if array.size == size else np.broadcast_to(array, self.shape(name))).ravel().tolist()
             if kind in ("Enumeration", "Integer", "Int64", "UInt64"):
                 flat = [int(x) for x in flat]
             if kind == "Boolean":
@@ -106,20 +116,25 @@ class Driver:
             getattr(self.fmu, f"set{kind}")(references, flat)
 
     # --- life cycle -------------------------------------------------------------------------------------------------
-    def neighbours(self, count: int) -> None:
-        """Set the structural parameter."""
-        self.rows = count
+    def resize(self, name: str, size: int) -> None:
+        """Set a structural parameter."""
+        self.sizes[name] = size
         if self.version == 3:
             self.fmu.enterConfigurationMode()
-            self.fmu.setUInt64([self.variables["n_neighbours"].valueReference], [count])
+            self.fmu.setUInt64([self.variables[name].valueReference], [size])
             self.fmu.exitConfigurationMode()
+            if self.model.states and self.model.states[0].dynamic:
+                self.n_states = sum(int(np.prod(self.shape(state.name))) for state in self.model.states)
         else:
-            self.fmu.setInteger([self.variables["n_neighbours"].valueReference], [count])
+            self.fmu.setInteger([self.variables[name].valueReference], [size])
 
     def initialize(self, *, start_time: float = 0.0, stop_time: float | None = None, **start: Any) -> Driver:
-        """Set start values and initialise; leaves Model Exchange in Continuous-Time Mode."""
-        if "n_neighbours" in start:
-            self.neighbours(start.pop("n_neighbours"))
+        """Set start values and initialise, with two axes by default; leaves Model Exchange in Continuous-Time Mode."""
+        if "n_axes" in self.sizes:
+            start = {"n_axes": 2, **start}
+        for name in self.sizes:
+            if name in start:
+                self.resize(name, start.pop(name))
         self.set(**start)
         if self.version == 2:
             self.fmu.setupExperiment(startTime=start_time, stopTime=stop_time)

@@ -83,6 +83,11 @@ def test_input_that_is_not_finite(open_fmu: OpenFmu, version: str, value: float)
         ("ArmSyncController", {"T": 0.0}, "T must be more than 0 s, not 0 s"),
         ("ArmSyncController", {"solver_step": -0.1}, "solver_step must be more than 0 s, not -0.1 s"),
         ("ArmSyncController", {"adaptation_sign": 0.5}, "adaptation_sign must be -1 or +1, not 0.5"),
+        ("AxisSyncController", {"T": 0.0}, "T must be more than 0 s, not 0 s"),
+        ("DoubleIntegrator", {"solver_step": 0.0}, "solver_step must be more than 0 s, not 0 s"),
+        ("MassSpringDamper", {"m": [1.0, 0.0]}, "m[2] must be more than 0 kg, not 0 kg"),
+        ("Pendulum", {"m": -1.0}, "m[1] must be more than 0 kg, not -1 kg"),
+        ("Pendulum", {"l": [0.5, 0.0]}, "l[2] must be more than 0 m, not 0 m"),
         ("TwoLinkArm", {"solver_step": 0.0}, "solver_step must be more than 0 s, not 0 s"),
         ("TwoLinkArm", {"m2": 0.0}, "the masses m1 and m2 must be more than 0 kg"),
         ("TwoLinkArm", {"I1": -0.1}, "the inertias I1 and I2 must not be negative"),
@@ -107,13 +112,27 @@ def test_enumeration_has_no_such_item(open_fmu: OpenFmu, version: str) -> None:
 
 def test_rows_in_fmi2_are_limited(open_fmu: OpenFmu) -> None:
     fmu = open_fmu("ArmSyncController.fmi2", CS)
-    assert refuse(fmu, fmu.neighbours, 17) == "n_neighbours was set to 17, which is not from 0 to 16"
+    assert refuse(fmu, fmu.resize, "n_neighbours", 17) == "n_neighbours was set to 17, which is not from 0 to 16"
 
 
 def test_rows_in_fmi3_are_limited_by_memory(open_fmu: OpenFmu) -> None:
     fmu = open_fmu("ArmSyncController.fmi3", CS)
-    line = refuse(fmu, fmu.neighbours, 2**62)
-    assert line == "4611686018427387904 rows are more than there is memory for"
+    line = refuse(fmu, fmu.resize, "n_neighbours", 2**62)
+    assert line == "n_neighbours = 4611686018427387904: more than there is memory for"
+    fmu = open_fmu("AxisSyncController.fmi3", CS)
+    fmu.resize("n_axes", 2000)
+    line = refuse(fmu, fmu.resize, "n_neighbours", 2**62)
+    assert line == "n_axes = 2000 and n_neighbours = 4611686018427387904: more than there is memory for"
+
+
+def test_axes_that_are_no_longer_finite_are_named(open_fmu: OpenFmu) -> None:
+    fmu = open_fmu("AxisSyncController.fmi3", ME).initialize(n_axes=3)
+    states = fmu.states
+    states[-1] = np.nan  # v_bar_integral is the last state, theta_hat of 3 x 5 numbers comes before it
+    line = refuse(fmu, setattr, fmu, "states", states)
+    assert line == "state v_bar_integral[3] is not finite at t = 0 s"
+    states[-1], states[-5] = 0.0, np.inf
+    assert refuse(fmu, setattr, fmu, "states", states) == "state theta_hat[3,4] is not finite at t = 0 s"
 
 
 # --- wrong calls ----------------------------------------------------------------------------------------------------

@@ -41,10 +41,11 @@ def message(stamp: int, v_hat: Floats = C) -> dict[str, Any]:
     }
 
 
+@pytest.mark.parametrize("model", ["ArmSyncController", "AxisSyncController"])
 @pytest.mark.parametrize("version", ["fmi2", "fmi3"])
 @pytest.mark.parametrize("choice", [RECEIVED, OWN, FILTERED, FILTERED_AT_STAMP])
-def test_closed_forms(open_fmu: OpenFmu, version: str, choice: int) -> None:
-    fmu = open_fmu(f"ArmSyncController.{version}", ME)
+def test_closed_forms(open_fmu: OpenFmu, model: str, version: str, choice: int) -> None:
+    fmu = open_fmu(f"{model}.{version}", ME)
     fmu.initialize(
         n_neighbours=1, extrapolation=choice, v_hat_start=C, v_bar_from_estimate=0, v_bar_start=C + A, k_p=2, k_d=2
     )

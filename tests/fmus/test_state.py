@@ -12,17 +12,19 @@ from fmpy import extract
 from fmpy.fmi1 import FMICallException
 
 from tests.fmus.driver import CS, ME, Driver
-from tests.fmus.inputs import START, N, T, messages, own, play, record
+from tests.fmus.inputs import START, T, messages, own, play, record
 from tests.fmus.theory import runge_kutta
 
 OpenFmu = Callable[[str, str], Driver]
+CONTROLLERS = pytest.mark.parametrize("model", ["ArmSyncController", "AxisSyncController"])
 VERSIONS = pytest.mark.parametrize("version", ["fmi2", "fmi3"])
 
 
 @VERSIONS
+@CONTROLLERS
 @pytest.mark.parametrize("extrapolation", [1, 2, 3, 4])
-def test_round_trip_reproduces_bits(open_fmu: OpenFmu, version: str, extrapolation: int) -> None:
-    fmu = open_fmu(f"ArmSyncController.{version}", CS).initialize(extrapolation=extrapolation, **START)
+def test_round_trip_reproduces_bits(open_fmu: OpenFmu, model: str, version: str, extrapolation: int) -> None:
+    fmu = open_fmu(f"{model}.{version}", CS).initialize(extrapolation=extrapolation, **START)
     play(fmu, 0, 10)
     saved, time = fmu.save(), fmu.time
     first = play(fmu, 10, 20)
@@ -33,13 +35,14 @@ def test_round_trip_reproduces_bits(open_fmu: OpenFmu, version: str, extrapolati
 
 
 @VERSIONS
-def test_state_moves_to_another_instance(open_fmu: OpenFmu, version: str) -> None:
+@CONTROLLERS
+def test_state_moves_to_another_instance(open_fmu: OpenFmu, model: str, version: str) -> None:
     """Bytes written by one instance continue in another, mode and array sizes included."""
-    fmu = open_fmu(f"ArmSyncController.{version}", CS).initialize(extrapolation=2, **START)
+    fmu = open_fmu(f"{model}.{version}", CS).initialize(extrapolation=2, **START)
     play(fmu, 0, 10)
-    other = open_fmu(f"ArmSyncController.{version}", CS)
+    other = open_fmu(f"{model}.{version}", CS)
     other.restore(fmu.save())
-    other.rows, other.time = N, fmu.time
+    other.sizes, other.time = dict(fmu.sizes), fmu.time
     assert play(other, 10, 15).tobytes() == play(fmu, 10, 15).tobytes()
 
 
@@ -68,7 +71,7 @@ def test_reset_starts_over(open_fmu: OpenFmu, version: str) -> None:
     fmu = open_fmu(f"ArmSyncController.{version}", CS).initialize(**START)
     first = play(fmu, 0, 5)
     fmu.fmu.reset()
-    fmu.rows = 1
+    fmu.sizes["n_neighbours"] = 1
     assert fmu.get("T") == 0.1
     np.testing.assert_array_equal(fmu.get("weight"), [1.0])
     assert play(fmu.initialize(**START), 0, 5).tobytes() == first.tobytes()
@@ -117,3 +120,16 @@ def test_history_does_not_grow_without_bound(open_fmu: OpenFmu) -> None:
         fmu.step_to((tick + 1) * T)
         sizes.append(len(fmu.save()))
     assert max(sizes[500:]) == max(sizes[:500])
+
+
+def test_resizing_keeps_what_it_does_not_resize(open_fmu: OpenFmu) -> None:
+    """Structural parameters are set one after the other, with start values between them."""
+    fmu = open_fmu("AxisSyncController.fmi3", CS)
+    fmu.resize("n_axes", 3)
+    fmu.set(p=[1.0, 2.0, 3.0], theta_hat_start=0.5, weight=[7.0])
+    fmu.resize("n_neighbours", 2)
+    np.testing.assert_array_equal(fmu.get("p"), [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(fmu.get("theta_hat_start"), np.full(15, 0.5))
+    np.testing.assert_array_equal(fmu.get("weight"), [1.0, 1.0])
+    fmu.resize("n_axes", 2)
+    np.testing.assert_array_equal(fmu.get("p"), [0.0, 0.0])

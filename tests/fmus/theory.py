@@ -53,9 +53,17 @@ def arm_derivative(arm: Arm, x: Floats, u: Floats) -> Floats:
     return np.concatenate([x[2:], acceleration(arm, x[:2], x[2:], u)])
 
 
+def arm_regressor(p: Floats, v: Floats, x: Floats, x_dot: Floats) -> Floats:
+    """Of an arm under the gravity of Section 5."""
+    return regressor(p, v, x, x_dot, Arm().g)
+
+
 @dataclass
 class Law:
-    """The control law of Corollary 2 at one instant; states v_bar, v_bar_dot, eta, psi, theta_hat in that order."""
+    """The control law of Corollary 2 at one instant; states v_bar, v_bar_dot, eta, psi, theta_hat in that order.
+
+    `Pi` is repeated over the parameters, where there are more of them.
+    """
 
     k_p: float = 2.0
     k_d: float = 2.0
@@ -66,21 +74,24 @@ class Law:
     sign: float = -1.0
     leader: bool = False
     coupled: bool = True
+    regressor: Callable[[Floats, Floats, Floats, Floats], Floats] = arm_regressor
 
     def derivative_and_torque(
         self, x: Floats, p: Floats, v: Floats, v_hat: Floats, neighbours: Floats
     ) -> tuple[Floats, Floats]:
         """`neighbours`: the weighted mean of the neighbours' extrapolated positions."""
-        v_bar, v_bar_dot, eta, psi, theta_hat = x[0:2], x[2:4], x[4:6], x[6:8], x[8:13]
-        zero = np.zeros(2)
+        m = len(p)
+        v_bar, v_bar_dot, eta, psi, theta_hat = np.split(x, [m, 2 * m, 3 * m, 4 * m])
+        zero = np.zeros(m)
         eta_dot = -self.k_eta * eta - self.lambda_ * (p - psi) if self.coupled else zero
         psi_dot = -psi + v_bar + neighbours if self.coupled else zero
         v_bar_2dot = zero if self.leader else -self.k_d * v_bar_dot - self.k_p * (v_bar - v_hat)
         v_r, v_r_dot = eta + v_bar, eta_dot + v_bar_dot
         e = v - v_r
-        Y = regressor(p, v, v_r, v_r_dot, Arm().g)
+        Y = self.regressor(p, v, v_r, v_r_dot)
+        Pi = np.resize(self.Pi, len(theta_hat))
         u = Y @ theta_hat - self.k_e * e
-        rates = [zero if self.leader else v_bar_dot, v_bar_2dot, eta_dot, psi_dot, self.sign * self.Pi * (Y.T @ e)]
+        rates = [zero if self.leader else v_bar_dot, v_bar_2dot, eta_dot, psi_dot, self.sign * Pi * (Y.T @ e)]
         return np.concatenate(rates), u
 
 
