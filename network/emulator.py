@@ -7,6 +7,7 @@ the numbers that the messages carry are looked up at the tick at which they arri
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
@@ -51,7 +52,7 @@ class _Samples:
 
     def take(self, rows: Ints) -> Floats:
         """(n, width) what some rows of the ring say."""
-        values: Floats = self._ring.reshape(-1, self._ring.shape[2]).take(rows, axis=0)
+        values: Floats = self._ring.reshape(math.prod(self._ring.shape[:2]), self._ring.shape[2]).take(rows, axis=0)
         return values
 
 

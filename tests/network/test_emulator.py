@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from network.channel import Channel, ChannelModel, Setting, Transmission
 from network.draws import Draws
 from network.emulator import Emulator, EmulatorError
-from network.messages import NEVER, Deliveries, Fate, Links
+from network.messages import NEVER, Deliveries, Fate, Links, MessageLayout
 from network.netem import Ideal, Netem
 from network.window import Window
 from tests.network.networks import LAYOUT, T, dense_links, emulator_of, links_of, play, rows
@@ -271,6 +271,14 @@ def test_what_it_hands_out_is_read_only() -> None:
     for array in (deliveries.arrival_ns, deliveries.slot, deliveries.stamp, deliveries.values):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
+
+
+def test_a_network_in_which_nobody_publishes() -> None:
+    emulator = Emulator(links_of("ab", []), {}, (), MessageLayout((), ()), seed=1, period_ns=T)
+    for tick in range(3):
+        mail = emulator.emulate(tick, np.empty((2, 0))).mail
+        assert mail.ends.tolist() == [0, 0, 0]
+        assert mail.values.shape == (0, 0)
 
 
 def test_many_edges_are_routed_as_few_are() -> None:
