@@ -156,14 +156,6 @@ def _init(args: argparse.Namespace) -> int:
     return 0
 
 
-def _fmu_strip(args: argparse.Namespace) -> int:
-    from cosim.components.fmu.stripping import write_stripped
-
-    out = write_stripped(args.file, args.out)
-    print(f"wrote {out}: what {args.file.name} says of itself, and its SHA-256")
-    return 0
-
-
 def _schema(args: argparse.Namespace) -> int:  # noqa: ARG001 - as every command
     import json
 
@@ -187,6 +179,8 @@ class _Version(argparse.Action):
 
 
 def _parser() -> argparse.ArgumentParser:
+    from cosim import cli_fmu
+
     parser = argparse.ArgumentParser(
         prog="cosim",
         description="Co-simulation of networked multi-agent systems: FMUs, who hears whom, and what the network does.",
@@ -234,7 +228,7 @@ def _parser() -> argparse.ArgumentParser:
     _command(commands, "schema", _schema, "print the JSON schema of a scenario, for editors")
     _add_channel(commands)
     _add_keys(commands)
-    _add_fmu(commands)
+    cli_fmu.add(commands, _command)
     _add_hosts(commands)
     process = commands.add_parser("_process")  # what `cosim run --distributed` starts; not for people
     process.add_argument("name")
@@ -305,18 +299,6 @@ def _add_keys(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
             "folder", nargs="?", type=Path, default=Path("keys"), metavar="FOLDER", help="default: keys"
         )
         action.set_defaults(action=command)
-
-
-def _add_fmu(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    fmu = commands.add_parser("fmu", help="work on FMU files", description="Work on FMU files.")
-    actions = fmu.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    strip = _command(
-        actions, "strip", _fmu_strip, "write what an FMU says of itself, for others to plan with while the FMU stays"
-    )
-    strip.add_argument("file", type=Path, metavar="FILE", help="the FMU")
-    strip.add_argument(
-        "-o", "--out", type=Path, metavar="OUT", help="the new file (default: <name>.description.fmu, here)"
-    )
 
 
 def _factor(text: str) -> Fraction:

@@ -344,3 +344,9 @@ def dump(tree: Any) -> str:
     """YAML text of plain values; `parse` gives back the same values, floats to the last bit."""
     text: str = yaml.dump(tree, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=None, width=118)
     return text
+
+
+def dump_on_one_line(value: Any) -> str:
+    """YAML text of a plain value that may stand behind a key."""
+    text: str = yaml.dump(value, Dumper=_Dumper, allow_unicode=True, default_flow_style=True, width=2**30)
+    return text.removesuffix("\n").removesuffix("\n...")

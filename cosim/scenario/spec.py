@@ -91,13 +91,18 @@ Reference: TypeAlias = Annotated[
 """`component.variable`; the variable's own name may hold dots."""
 
 
-def _check_component(text: str) -> str:
+def check_component(text: str) -> str:
+    """A name that a component can have.
+
+    Raises:
+        ValueError: it is none.
+    """
     if not re.fullmatch(r"[^\W\d]\w*", text):
         raise ValueError(f"{text!r} cannot name a component; use letters, digits and '_', such as 'plant'")
     return text
 
 
-ComponentName: TypeAlias = Annotated[str, AfterValidator(_check_component)]
+ComponentName: TypeAlias = Annotated[str, AfterValidator(check_component)]
 
 
 # --- components -------------------------------------------------------------------------------------------------------

@@ -48,6 +48,7 @@ __all__ = [
     "FMICallException",
     "File",
     "Log",
+    "findings",
     "fmi2_callbacks",
     "open_library",
     "read",
@@ -165,6 +166,13 @@ def _library_folder(archive: Archive, model: Any, implementations: Mapping[Inter
     libraries = {x.modelIdentifier + fmpy.sharedLibraryExtension for x in implementations.values()}
     names = set(archive.names)
     return next((f for f in folders if all(f"binaries/{f}/{library}" in names for library in libraries)), None)
+
+
+def findings(path: Path) -> list[str]:
+    """What FMPy's validation has to say about a file: schema, model structure, start values, units."""
+    from fmpy.validation import validate_fmu
+
+    return [" ".join(str(problem).split()) for problem in validate_fmu(str(path))]
 
 
 # --- libraries ------------------------------------------------------------------------------------------------------

@@ -1,0 +1,71 @@
+"""The commands of `cosim fmu`; part of `cosim.cli`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+
+def add(commands: Any, command: Callable[..., argparse.ArgumentParser]) -> None:
+    """`cosim fmu` with all it can do."""
+    fmu = commands.add_parser("fmu", help="work on FMU files", description="Work on FMU files.")
+    actions = fmu.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    inspect = command(actions, "inspect", _inspect, "say what an FMU is, what it has, and what is wrong with it")
+    inspect.add_argument("file", metavar="FILE", help="the FMU, or the name of a shipped one")
+    inspect.add_argument("--all", action="store_true", help="local variables as well")
+
+    wire = command(actions, "wire", _wire, "write a scenario of one agent around an FMU, to start from")
+    wire.add_argument("file", metavar="FILE", help="the FMU, or the name of a shipped one")
+    wire.add_argument("--role", default="plant", metavar="NAME", help="of the component (default: %(default)s)")
+    wire.add_argument("-o", "--out", type=Path, metavar="OUT", help="the new file (default: standard output)")
+
+    about = "write what an FMU says of itself, for others to plan with while the FMU stays"
+    strip = command(actions, "strip", _strip, about)
+    strip.add_argument("file", type=Path, metavar="FILE", help="the FMU")
+    strip.add_argument(
+        "-o", "--out", type=Path, metavar="OUT", help="the new file (default: <name>.description.fmu, here)"
+    )
+
+
+def _inspect(args: argparse.Namespace) -> int:
+    from cosim.fmu_commands import find
+    from cosim.fmu_commands.inspecting import report
+
+    print(report(find(args.file), everything=args.all))
+    return 0
+
+
+def _wire(args: argparse.Namespace) -> int:
+    from cosim.components.fmu.archive import refuse
+    from cosim.errors import ConfigError, Problem
+    from cosim.fmu_commands.stub import scenario
+    from cosim.scenario.spec import check_component
+
+    try:
+        check_component(args.role)
+    except ValueError as error:
+        raise ConfigError([Problem(f"--role: {error}")]) from None
+    text = scenario(args.file, args.role, args.out.parent if args.out else Path())
+    if args.out is None:
+        print(text, end="")
+        return 0
+    try:
+        with args.out.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise refuse(args.out, "exists already; choose another name with -o or remove it") from None
+    except OSError as error:
+        raise refuse(args.out, f"cannot be written: {error.strerror}") from error
+    print(f"wrote {args.out}; next: cosim check {args.out}")
+    return 0
+
+
+def _strip(args: argparse.Namespace) -> int:
+    from cosim.components.fmu.stripping import write_stripped
+
+    out = write_stripped(args.file, args.out)
+    print(f"wrote {out}: what {args.file.name} says of itself, and its SHA-256")
+    return 0

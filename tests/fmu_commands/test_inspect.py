@@ -1,0 +1,86 @@
+"""`cosim fmu inspect`: what it prints of good FMUs and of others."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import fmus
+from cosim.cli import main
+from tests.components.probe import description2, write_fmu
+from tests.mapping.foreign import renamed
+
+
+def inspected(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    assert main(["fmu", "inspect", *arguments]) == 0
+    return capsys.readouterr().out
+
+
+def test_a_shipped_one(capsys: pytest.CaptureFixture[str]) -> None:
+    out = inspected(capsys, "TwoLinkArm")
+    assert out.startswith("TwoLinkArm.fmi3.fmu: TwoLinkArm, FMI 3.0, made by netcosim")
+    for part in (
+        "Model Exchange, 4 continuous states, 0 event indicators",
+        "Co-Simulation: take communication steps of any length, save and restore its state",
+        "(this one)",
+        "  u[2]         Float64  N.m    0      Joint torques\n",
+        "3 local variables more: --all",
+        "no problems found",
+    ):
+        assert part in out
+    assert "derivative of p" in inspected(capsys, "TwoLinkArm", "--all")
+
+
+def test_every_kind_of_variable(probes: dict[int, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    for fmi in (2, 3):
+        out = inspected(capsys, str(probes[fmi]))
+        assert "one of nothing, step_discards" in out
+        assert "  label" in out
+        assert "Enumeration" in out
+    assert "structural parameters\n  n" in out
+    assert "made by ProbeTool" in out
+
+
+def test_what_is_wrong_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = description2().replace('<Real start="1"/>', '<Real start="1" unit="gon"/>')
+    out = inspected(capsys, str(write_fmu(tmp_path / "poor.fmu", None, text)))
+    assert "platforms   none: it holds no library" in out
+    assert "no library for this platform" in out
+    assert "units that nothing defines, so that they do not convert: gon" in out
+    assert "outputs that may depend directly on every input, as nothing else is declared: instances" in out
+    assert "gon" in out.split("problems")[1]
+
+
+def test_findings_of_the_validation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    renamed(tmp_path / "twice.fmu", {"p[1]": "same", "v[1]": "same"})
+    out = inspected(capsys, str(tmp_path / "twice.fmu"))
+    assert "problem" in out
+    assert "same" in out.split("problem")[1]
+
+
+def test_only_the_description(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stripped = tmp_path / "secret.fmu"
+    assert main(["fmu", "strip", str(fmus.path("TwoLinkArm")), "-o", str(stripped)]) == 0
+    assert "only the description of TwoLinkArm.fmi3.fmu" in inspected(capsys, str(stripped))
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("TwoLinkArn", "error: no file and no shipped FMU is called 'TwoLinkArn' (did you mean 'TwoLinkArm"),
+        ("there.fmu", "there.fmu: error: no such file"),
+        ("text.fmu", "text.fmu is not an FMU: not a ZIP archive"),
+        ("old.fmu", "is an FMU of FMI 1.0; export it for FMI 2.0 or 3.0"),
+    ],
+)
+def test_what_is_no_fmu(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str, sentence: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("text.fmu").write_text("no")
+    with zipfile.ZipFile("old.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", '<fmiModelDescription fmiVersion="1.0"/>')
+    assert main(["fmu", "inspect", name]) == 2
+    assert sentence in capsys.readouterr().err
