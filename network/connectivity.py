@@ -8,8 +8,9 @@ nobody, but all of each other; every agent hears itself (the graphs G_s of the p
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +18,11 @@ from numpy.typing import NDArray
 from network.freshness import EdgeLog, Span
 from network.messages import Fate, Ints, Links
 
-Graphs = NDArray[np.bool_]
-"""(…, n, n): [j, i] where i heard j."""
+Words = NDArray[np.uint64]
+Sets = Words
+"""(n, windows, words) sets of agents as bits: of whom each agent has heard over each window, itself included."""
+
+_WORDS_AT_ONCE = 2**17  # in the working arrays: about what the second-level cache holds
 
 
 def updates(logs: Sequence[EdgeLog], span: Span) -> NDArray[np.bool_]:
@@ -62,8 +66,8 @@ def connectivity(
 ) -> Connectivity:
     """Joint rootedness over every window of a log.
 
-    The composition over a sliding window takes two products per tick, however long the window (a queue made of two
-    stacks, each with its running compositions).
+    Windows are composed tick by tick, many at once; one in which everybody has heard of somebody is rooted, and done
+    with. Of those that are left at their end, the composed graph may still have a root over several of its steps.
 
     Args:
         logs: of every edge, in the order of `links`.
@@ -73,26 +77,23 @@ def connectivity(
         leaders: indices of agents that hold their estimate.
     """
     grew = updates(logs, span)
-    n = len(links.agents)
-    held = _mask(n, leaders)
-    graphs = _graphs(grew, links, held)
-    rooted = np.zeros(max(0, span.n_ticks - window + 1), np.bool_)
-    older: list[Graphs] = []  # compositions of a tick with all that follow it in this stack; the oldest tick last
-    newer: list[Graphs] = []
-    together: Graphs | None = None  # of `newer`
-    for tick, heard in enumerate(graphs):
-        newer.append(heard)
-        together = newer[-1] if together is None else _then(together, newer[-1])
-        if tick < window - 1:
-            continue
-        if not older:
-            for graph in reversed(newer):
-                older.append(graph if not older else _then(graph, older[-1]))
-            newer, together = [], None
-        oldest = older.pop()
-        whole = oldest if together is None else _then(oldest, together)
-        rooted[tick - window + 1] = _has_root(whole, held)
-    heard_per_agent = np.zeros(n)
+    net = _Network(links, leaders)
+    n_windows = max(0, span.n_ticks - window + 1)
+    rooted = np.zeros(n_windows, np.bool_)
+
+    @cache  # the same few graphs come again and again
+    def has_root(heard: bytes) -> bool:
+        return net.has_root(np.frombuffer(heard, np.uint64).reshape(net.n, net.words))
+
+    ever, open_ = net.compose(np.asarray(grew.any(axis=0))[None, :], np.zeros(1, np.int64), 1)
+    if not len(open_) or net.has_root(ever[:, 0]):  # else no window has a root either
+        at_once = max(1, _WORDS_AT_ONCE // max(1, len(links) * net.words))
+        for begin in range(0, n_windows, at_once):
+            begins = np.arange(begin, min(begin + at_once, n_windows))
+            heard, open_ = net.compose(grew, begins, window)
+            rooted[begins] = True
+            rooted[open_] = [has_root(heard[:, i].tobytes()) for i in range(len(open_))]
+    heard_per_agent = np.zeros(net.n)
     np.add.at(heard_per_agent, links.receiver, grew.mean(axis=0))
     return Connectivity(window, rooted, heard_per_agent)
 
@@ -109,54 +110,86 @@ def unreached(
         ticks: of the window.
         leaders: as for `connectivity`.
     """
-    held = _mask(len(links.agents), leaders)
-    whole: Graphs | None = None
-    for heard in _graphs(updates(logs, span)[ticks.start : ticks.stop], links, held):
-        whole = heard if whole is None else _then(whole, heard)
-    return [] if whole is None else np.flatnonzero(_missed(whole, held)).tolist()
+    net = _Network(links, leaders)
+    heard, open_ = net.compose(updates(logs, span), np.array([ticks.start]), len(ticks))
+    if not len(open_):
+        return []
+    reached = [net.reached_from(heard[:, 0], root) for root in net.candidates]
+    best = max(reached, key=np.count_nonzero)  # of equals the first
+    return np.flatnonzero(~best).tolist()
 
 
-def _mask(n: int, indices: Collection[int]) -> NDArray[np.bool_]:
-    mask = np.zeros(n, np.bool_)
-    mask[list(indices)] = True
-    return mask
+class _Network:
+    """The edges between followers and to them; leaders, if there are any, hear each other and nobody else."""
 
+    def __init__(self, links: Links, leaders: Collection[int]) -> None:
+        self.n = len(links.agents)
+        self.words = -(-self.n // 64)
+        self._leaders = np.array(sorted(leaders), np.intp)
+        self.candidates: list[int] = self._leaders.tolist() or list(range(self.n))
+        kept = np.flatnonzero(~np.isin(links.receiver, self._leaders))
+        self._link = kept[np.argsort(links.receiver[kept], kind="stable")]
+        self._sender, self._receiver = links.sender[self._link], links.receiver[self._link]
+        agents = np.arange(self.n)
+        self._itself = np.zeros((self.n, self.words), np.uint64)
+        self._itself[agents, agents // 64] = np.uint64(1) << (agents % 64).astype(np.uint64)
+        roots = np.bitwise_or.reduce(self._itself[self.candidates], axis=0)
+        self._roots: Words = roots[None, :]
 
-def _graphs(grew: NDArray[np.bool_], links: Links, leaders: NDArray[np.bool_]) -> Iterator[Graphs]:
-    """Who heard whom at each tick of (n_ticks, n_links)."""
-    base = np.eye(len(leaders), dtype=np.bool_) | np.outer(leaders, leaders)
-    into_follower = ~leaders[links.receiver]
-    for row in grew:
-        heard = base.copy()
-        fresh = row & into_follower
-        heard[links.sender[fresh], links.receiver[fresh]] = True
-        yield heard
+    def compose(self, grew: NDArray[np.bool_], begins: Ints, window: int) -> tuple[Sets, Ints]:
+        """Who has heard of whom over windows.
 
+        Args:
+            grew: (n_ticks, n_links) as from `updates`.
+            begins: (n_windows,) first tick of each.
+            window: ticks in each, at least 1.
 
-def _then(first: Graphs, second: Graphs) -> Graphs:
-    """Who heard of whom over two graphs, one after the other."""
-    return np.asarray(first.astype(np.float32) @ second.astype(np.float32) > 0)
+        Returns:
+            The sets of those windows in which there is no candidate of whom all have heard, and when they begin.
+        """
+        fresh = np.ascontiguousarray(grew[:, self._link].T)
+        heard = np.repeat(self._itself[:, None, :], len(begins), axis=1)
+        for step in range(window):
+            here = fresh[:, begins + step]
+            some = np.flatnonzero(here.any(axis=1))
+            passed = heard[self._sender[some]]
+            passed *= here[some][:, :, None]
+            if len(self._leaders):
+                heard[self._leaders] |= self._roots
+            if len(some):
+                receiver = self._receiver[some]
+                first = np.flatnonzero(np.append(True, receiver[1:] != receiver[:-1]))
+                heard[receiver[first]] |= np.bitwise_or.reduceat(passed, first, axis=0)
+            known_to_all = np.bitwise_and.reduce(heard, axis=0) & self._roots
+            still = np.flatnonzero(~known_to_all.any(axis=1))
+            if len(still) < len(begins):
+                heard, begins = heard[:, still], begins[still]
+            if not len(still):
+                break
+        return heard, begins
 
+    def has_root(self, heard: Words) -> bool:
+        """Whether a candidate reaches all in a graph of (n, words) in-neighbours, over any number of its steps."""
+        if len(self._leaders):  # which have heard of each other
+            return bool(self.reached_from(heard, self.candidates[0]).all())
+        # If there is a root, then whoever is not reached from those tried before and reaches it last is one.
+        reached = np.zeros(self.n, np.bool_)
+        last = 0
+        while not reached.all():
+            last = int(np.argmin(reached))
+            reached |= self.reached_from(heard, last)
+        return bool(self.reached_from(heard, last).all())
 
-def _has_root(heard: Graphs, leaders: NDArray[np.bool_]) -> bool:
-    """Whether somebody, a leader if there are any, reaches all: over any number of steps of this graph."""
-    return not _missed(heard, leaders).any()
-
-
-def _missed(heard: Graphs, leaders: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(n,) whom nobody's news reaches who reaches most (a leader if there are any); over any number of steps."""
-    n = len(heard)
-    candidates = np.flatnonzero(leaders) if leaders.any() else np.arange(n)
-    if heard[candidates].all(axis=1).any():
-        return np.zeros(n, np.bool_)
-    reach, steps = heard, 1
-    while steps < n:
-        further = _then(reach, reach)
-        if np.array_equal(further, reach):
-            break
-        reach, steps = further, 2 * steps
-    best = candidates[np.argmax(reach[candidates].sum(axis=1))]
-    return np.asarray(~reach[best])
+    def reached_from(self, heard: Words, root: int) -> NDArray[np.bool_]:
+        """(n,) whom the news of one agent reaches over any number of steps."""
+        reached = np.zeros(self.n, np.bool_)
+        reached[root] = True
+        while True:
+            known = np.bitwise_or.reduce(self._itself[reached], axis=0)
+            further = (heard & known).any(axis=1)
+            if np.array_equal(further, reached):
+                return reached
+            reached = further
 
 
 def window_of(h_star_ns: int, period_ns: int) -> int:

@@ -17,13 +17,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from network.messages import Fate, Fates, Ints, Links
 from network.units import to_seconds
 
 _NEVER_ARRIVES = np.iinfo(np.int64).max
+_SAMPLES_AT_ONCE = 2**17
 
 
 @dataclass(frozen=True)
@@ -86,14 +89,14 @@ def age_of_information(log: EdgeLog, span: Span) -> Age:
     end = np.append(begin[1:], span.end_ns)
     lasts = end > begin
     begin, end, taken = begin[lasts], end[lasts], taken[lasts]
-    peaks = (end - taken).astype(np.float64)
-    middle = peaks - (end - begin) / 2
+    lasting, peaks = end - begin, (end - taken).astype(np.float64)
+    middle = peaks - lasting / 2
     at_ticks = _at_ticks(begin, taken, span)
     return Age(
-        mean=float(np.average(middle, weights=end - begin)) / 1e9,
-        peak_mean=float(np.mean(peaks[:-1])) / 1e9 if len(peaks) > 1 else float("nan"),
+        mean=float((middle * lasting).sum() / lasting.sum()) / 1e9,
+        peak_mean=float(peaks[:-1].mean()) / 1e9 if len(peaks) > 1 else float("nan"),
         sup=to_seconds(int((end - taken).max())),
-        tick_mean=float(np.mean(at_ticks)) / 1e9,
+        tick_mean=float(at_ticks.mean()) / 1e9,
         tick_sup=to_seconds(int(at_ticks.max())),
     )
 
@@ -156,11 +159,33 @@ def tolerance_front(log: EdgeLog, span: Span) -> Front:
 
     The exact front in O(N log N): samples are struck in the order of falling delay, where the largest gap only grows.
     """
-    delays, observed = _delays(log, span)
-    order = np.argsort(delays, kind="stable")
-    h = np.unique(observed)
-    in_time = np.searchsorted(delays[order], h, side="right")
-    return _pareto(_largest_gaps(order)[in_time - 1], h)
+    return tolerance_fronts([log], span)[0]
+
+
+def tolerance_fronts(logs: Sequence[EdgeLog], span: Span) -> list[Front]:
+    """`tolerance_front` of every edge, many at once."""
+    at_once = max(1, _SAMPLES_AT_ONCE // span.n_ticks)
+    return [front for i in range(0, len(logs), at_once) for front in _fronts_of_some(logs[i : i + at_once], span)]
+
+
+def _fronts_of_some(logs: Sequence[EdgeLog], span: Span) -> list[Front]:
+    delays, arrived = _delays(logs, span)
+    order = np.argsort(delays, axis=1, kind="stable")
+    delay = np.take_along_axis(delays, order, axis=1)
+    gap = _largest_gaps(order)
+    # Of samples with equal delays the last stands for all: h may be that if one of them did arrive.
+    last = np.ones(delay.shape, np.bool_)
+    last[:, :-1] = delay[:, 1:] != delay[:, :-1]
+    edge, place = np.nonzero(last)
+    so_far = np.cumsum(np.take_along_axis(arrived, order, axis=1), axis=1)[edge, place]
+    new_edge = np.append(True, edge[1:] != edge[:-1])
+    known = so_far > np.where(new_edge, 0, np.append(0, so_far[:-1]))
+    edge, h, k_star = edge[known], delay[edge[known], place[known]], gap[edge[known], place[known]]
+    falls = np.ones(len(edge), np.bool_)
+    falls[1:] = (edge[1:] != edge[:-1]) | (k_star[1:] < k_star[:-1])
+    edge, h, k_star = edge[falls], h[falls], k_star[falls]
+    ends = np.searchsorted(edge, np.arange(len(logs) + 1)).tolist()
+    return [Front(k_star[i:j], h[i:j]) for i, j in pairwise(ends)]
 
 
 def common_front(fronts: Sequence[Front]) -> Front:
@@ -178,41 +203,52 @@ def common_front(fronts: Sequence[Front]) -> Front:
     return _pareto(needed[np.searchsorted(step[order], h, side="right")], h)
 
 
-def _delays(log: EdgeLog, span: Span) -> tuple[Ints, Ints]:
-    """(n_ticks,) delay of each sample as `tolerance_front` takes it; and those of the samples that did arrive."""
-    delays = span.end_ns - np.arange(span.n_ticks) * span.period_ns
-    in_flight = log.stamp[log.fate == Fate.IN_FLIGHT]
-    delays[np.setdiff1d(log.stamp[log.fate == Fate.LOST], in_flight)] = _NEVER_ARRIVES
-    arrived = (log.fate == Fate.DELIVERED) | (log.fate == Fate.SUPERSEDED)
-    stamp, delay = log.stamp[arrived], log.arrival_ns[arrived] - log.stamp[arrived] * span.period_ns
-    by_arrival = np.argsort(-delay, kind="stable")  # the first of a sample's copies is assigned last, and holds
-    delays[stamp[by_arrival]] = delay[by_arrival]
-    return delays, delays[np.unique(stamp)]
+def _delays(logs: Sequence[EdgeLog], span: Span) -> tuple[Ints, NDArray[np.bool_]]:
+    """(n_edges, n_ticks) delay of each sample as `tolerance_front` takes it; and whether that sample did arrive."""
+    edge = np.repeat(np.arange(len(logs)), [len(log.stamp) for log in logs])
+    stamp, arrival, fate = (
+        np.concatenate([getattr(log, name) for log in logs]) for name in ("stamp", "arrival_ns", "fate")
+    )
+    delays = np.tile(span.end_ns - np.arange(span.n_ticks) * span.period_ns, (len(logs), 1))
+    lost, in_flight = fate == Fate.LOST, fate == Fate.IN_FLIGHT
+    may_arrive = np.zeros(delays.shape, np.bool_)
+    may_arrive[edge[in_flight], stamp[in_flight]] = True
+    gone = lost & ~may_arrive[edge, stamp]
+    delays[edge[gone], stamp[gone]] = _NEVER_ARRIVES
+    came = np.flatnonzero(~lost & ~in_flight)
+    came = came[np.argsort(-arrival[came], kind="stable")]  # the first of a sample's copies is assigned last, and holds
+    delays[edge[came], stamp[came]] = arrival[came] - stamp[came] * span.period_ns
+    arrived = np.zeros(delays.shape, np.bool_)
+    arrived[edge[came], stamp[came]] = True
+    return delays, arrived
 
 
 def _largest_gaps(order: Ints) -> Ints:
-    """(n,) largest gap, those at both ends included, that the first 1, 2, …, n of `order` leave.
+    """(n_edges, n) largest gap, those at both ends included, that the first 1, 2, …, n of each row of `order` leave.
 
-    `order` is a permutation of 0, …, n - 1. The gap at the beginning is counted from 0, that at the end up to n. Struck
+    A row is a permutation of 0, …, n - 1. The gap at the beginning is counted from 0, that at the end up to n. Struck
     in reverse, an element leaves the gap between its nearest neighbours that come earlier in `order`.
     """
-    n = len(order)
-    rank = np.empty(n, np.int64)
-    rank[order] = np.arange(n)
-    right = _nearest_smaller(rank)
-    left = n - 1 - _nearest_smaller(rank[::-1])[::-1]
-    left_by = (right - np.maximum(left, 0))[order]  # by striking each of `order`
+    rows, n = order.shape
+    rank = np.full((rows, n + 1), -1)  # the last column parts the rows
+    np.put_along_axis(rank, order, np.arange(n)[None, :], axis=1)
+    begin = np.arange(rows)[:, None] * (n + 1)
+    right = _nearest_smaller(rank.reshape(-1)).reshape(rows, n + 1)[:, :n] - begin
+    turned = np.append(rank[:, n - 1 :: -1] if n else rank[:, :0], rank[:, n:], axis=1)
+    left = n - 1 - (_nearest_smaller(turned.reshape(-1)).reshape(rows, n + 1)[:, :n] - begin)[:, ::-1]
+    left_by = np.take_along_axis(right - np.maximum(left, 0), order, axis=1)  # by striking each of `order`
     # With the first i + 1 of them left, all later ones have been struck.
-    return np.maximum.accumulate(np.append(left_by[1:], 1)[::-1])[::-1]
+    after = np.append(left_by[:, 1:], np.ones((rows, 1), np.int64), axis=1)
+    return np.maximum.accumulate(after[:, ::-1], axis=1)[:, ::-1]
 
 
 def _nearest_smaller(values: Ints) -> Ints:
-    """(n,) index of the next smaller value to the right of each; n where there is none. All differ, none is negative.
+    """(n,) index of the next smaller value to the right of each; n where there is none. None is less than -1.
 
     In a tree of minima: up and to the right past blocks in which all is larger, then down to the first that is not.
     """
     n = len(values)
-    rows = [np.full(1 << n.bit_length(), -1, np.int64)]
+    rows = [np.full(1 << n.bit_length(), -2, np.int64)]
     rows[0][:n] = values
     while len(rows[-1]) > 1:
         rows.append(np.minimum(rows[-1][0::2], rows[-1][1::2]))

@@ -65,10 +65,12 @@ def traffic(log: EdgeLog, span: Span, history: int = 0) -> Traffic:
         history: how many ticks back a sample that the channel sends may lie (`Channel.history`): the last `history`
             samples of the log may still be sent after its end and so are left out of `never_sent`.
     """
-    delivered, superseded, lost, in_flight = (int(np.count_nonzero(log.fate == fate)) for fate in Fate)
+    delivered, superseded, lost, in_flight = np.bincount(log.fate, minlength=len(Fate)).tolist()
     arrived = delivered + superseded
     settled = max(0, span.n_ticks - history)
-    left = len(np.unique(log.stamp[log.stamp < settled]))
+    has_left = np.zeros(span.n_ticks, np.bool_)
+    has_left[log.stamp] = True
+    left = np.count_nonzero(has_left[:settled])
     runs = loss_runs(log)
     delays = one_way_delays(log, span)
     fresh = log.fate == Fate.DELIVERED
@@ -84,7 +86,7 @@ def traffic(log: EdgeLog, span: Span, history: int = 0) -> Traffic:
         losses_in_a_row=int(runs.max(initial=0)),
         mean_loss_run=float(runs.mean()) if len(runs) else _NAN,
         never_sent=1 - left / settled if settled else _NAN,
-        delay=np.append(np.quantile(delays, QUANTILES), delays.max()) if arrived else np.full(4, _NAN),
+        delay=_quantiles(delays) if arrived else np.full(4, _NAN),
         most_between=float(between.max()) / 1e9,
         most_stale=float((fresh_at - stamp * span.period_ns).max()) / 1e9 if delivered else _NAN,
         reordered=_reordered(log) / arrived if arrived else _NAN,
@@ -122,6 +124,15 @@ def most_losses_in(log: EdgeLog, k: int) -> int:
     return int((sums[k:] - sums[: len(sums) - k]).max(initial=0))
 
 
+def _quantiles(values: Floats) -> Floats:
+    """(4,) those of `QUANTILES`, linear between values, and the maximum; as `np.quantile`, which is slow for few."""
+    ordered = np.sort(values)
+    place = np.array([*QUANTILES, 1.0]) * (len(ordered) - 1)
+    below = place.astype(np.int64)
+    low, high = ordered[below], ordered[np.minimum(below + 1, len(ordered) - 1)]
+    return np.asarray(low + (high - low) * (place - below))
+
+
 def _losses(log: EdgeLog) -> NDArray[np.bool_]:
     """(n,) whether each message was lost, in the order of sending."""
     return np.asarray(log.fate[np.lexsort((log.stamp, log.sent))] == Fate.LOST)
@@ -142,4 +153,6 @@ def _reordered(log: EdgeLog) -> int:
 def _duplicates(log: EdgeLog) -> int:
     """How many arrived although the same sample, sent at the same tick, had arrived."""
     arrived = _arrived(log)
-    return int(arrived.sum()) - len(np.unique(np.stack((log.stamp[arrived], log.sent[arrived])), axis=1).T)
+    stamp, sent = log.stamp[arrived], log.sent[arrived]
+    each = np.sort(stamp * (sent.max(initial=0) + 1) + sent)
+    return int(np.count_nonzero(each[1:] == each[:-1]))

@@ -21,7 +21,7 @@ from network.freshness import (
     common_front,
     edge_logs,
     intervals_above,
-    tolerance_front,
+    tolerance_fronts,
 )
 from network.messages import Fate, Fates, Ints, Links
 from network.traffic import Traffic, traffic
@@ -163,7 +163,7 @@ class Edges:
     @cached_property
     def fronts(self) -> list[Front]:
         """The pairs (k*, h) of Assumption 1 that the log does not refute."""
-        return [tolerance_front(log, self.span) for log in self.logs]
+        return tolerance_fronts(self.logs, self.span)
 
     @cached_property
     def common_front(self) -> Front:

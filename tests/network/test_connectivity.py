@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from network.connectivity import connectivity, fresh_counts, updates, window_of
+from network.connectivity import connectivity, fresh_counts, unreached, updates, window_of
 from network.freshness import EdgeLog, Span
 from network.messages import Fate
 from network.window import Window
@@ -82,3 +83,27 @@ def test_a_sliding_window_is_the_composition_of_its_graphs(data: st.DataObject) 
         reach = np.linalg.matrix_power(knows.astype(object), n) > 0
         expected = any(reach[r].all() for r in (leaders or range(n)))
         assert found.rooted[begin] == expected
+
+
+@pytest.mark.parametrize("leaders", [[], [3, 66]])
+def test_many_agents_are_composed_as_few_are(leaders: list[int]) -> None:
+    n, span, window = 70, Span(60, T), 9  # more agents than there are bits in a word
+    links = dense_links(n, 3)
+    logs = logs_of(Window.model_validate({"depth": 3, "delay": ["10 ms", "250 ms"]}), links, span.n_ticks)
+    found = connectivity(logs, links, span, window, leaders)
+    grew = updates(logs, span)
+    for begin in range(span.n_ticks - window + 1):
+        knows = np.eye(n)
+        for tick in range(begin, begin + window):
+            step = np.eye(n)
+            step[np.ix_(leaders, leaders)] = 1
+            heard = grew[tick] & ~np.isin(links.receiver, leaders)
+            step[links.sender[heard], links.receiver[heard]] = 1
+            knows = np.minimum(knows @ step, 1)
+        for _ in range(7):
+            knows = np.minimum(knows @ knows, 1)
+        assert found.rooted[begin] == knows[leaders or range(n)].all(axis=1).any()
+        missed = unreached(logs, links, span, range(begin, begin + window), leaders)
+        best = knows[leaders or range(n)].sum(axis=1).max()
+        assert len(missed) == n - best
+    assert found.rooted.sum() > 0

@@ -18,6 +18,7 @@ from network.freshness import (
     common_front,
     edge_logs,
     tolerance_front,
+    tolerance_fronts,
 )
 from network.messages import NEVER, Fate, Fates
 from network.traffic import traffic
@@ -173,6 +174,17 @@ def test_the_front_by_its_definition(case: tuple[EdgeLog, Span]) -> None:
     front = tolerance_front(log, span)
     assert _pairs(front) == _front_of(pairs)
     assert front.smallest_sum_ns(PERIOD) == min((k * PERIOD + h for k, h in pairs), default=None)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 12), st.data())
+def test_the_fronts_of_many_edges_are_those_of_each(n_ticks: int, data: st.DataObject) -> None:
+    cases = [data.draw(logs()) for _ in range(data.draw(st.integers(0, 5)))]
+    span = Span(max([n_ticks, *(case[1].n_ticks for case in cases)]), PERIOD)
+    together = tolerance_fronts([log for log, _ in cases], span)
+    for front, (log, _) in zip(together, cases, strict=True):
+        candidates = [(_k_star(log, span, h), h) for h in _observed(log)]
+        assert _pairs(front) == _front_of([(k, h) for k, h in candidates if k is not None])
 
 
 @settings(max_examples=100, deadline=None)
