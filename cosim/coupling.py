@@ -413,14 +413,14 @@ class PythonLoop:
     def _jacobi(self, t: float, h: float) -> None:
         for c, component in enumerate(self._components):
             self._set_inputs(c)
-            component.step(t, h)
+            self._step_one(component, t, h)
         for gets in self._wiring.outputs:
             self._carry_out(gets)
 
     def _gauss_seidel(self, t: float, h: float) -> None:
         for c, component in enumerate(self._components):
             self._set_inputs(c)
-            component.step(t, h)
+            self._step_one(component, t, h)
             self._carry_out(self._wiring.outputs[c])
 
     def _midpoint(self, t: float, h: float) -> None:
@@ -435,15 +435,21 @@ class PythonLoop:
             earlier = (owner >= 0) & (owner < c)
             if any(np.any(earlier[transfer.positions]) for transfer in self._wiring.inputs[c]):
                 self._set_inputs(c, np.where(earlier, before, middle))
-                component.step(t, half)
+                self._step_one(component, t, half)
                 self._set_inputs(c, np.where(earlier, signals, middle))
-                component.step(t + half, half)
+                self._step_one(component, t + half, half)
             else:
                 self._set_inputs(c, middle)
-                component.step(t, h)
+                self._step_one(component, t, h)
             self._carry_out(self._wiring.outputs[c])
         state.previous[:] = before
         state.steps[0] = h
+
+    def _step_one(self, component: Component, t: float, h: float) -> None:
+        if self._coupling.retries:
+            component.step_in_halves(t, h, self._coupling.retries)
+        else:
+            component.step(t, h)
 
     def _set_inputs(self, c: int, source: Floats | None = None) -> None:
         """Set the connected inputs of a component from `source`, by default the signals."""

@@ -80,6 +80,10 @@ class ComponentError(CosimError):
         super().__init__(f"{component}: {message}" + (f" (its last log line: {log})" if log else ""))
 
 
+class DiscardedStepError(ComponentError):
+    """A component could not make a whole step (FMI: Discard), and is still usable."""
+
+
 class RunError(CosimError):
     """A run failed: which agent, which component, at which simulated time, and the component's own last log line."""
 

@@ -57,6 +57,7 @@ class CouplingPlan:
     Attributes:
         grid: every micro step has this length, because a component accepts no other: an arrival waits for the end of
             the one it falls into.
+        retries: how often a step that a component discards is tried again in halves.
     """
 
     method: Method
@@ -66,6 +67,7 @@ class CouplingPlan:
     absolute_tolerance: float = 1e-10
     loop: Loop = Loop.NATIVE
     grid: bool = False
+    retries: int = 0
 
 
 @dataclass(frozen=True)

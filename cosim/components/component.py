@@ -42,7 +42,7 @@ class Variable:
         references: value references. FMI 3.0: one, whatever the shape. FMI 2.0: one per element, row-major, where the
             elements `name[1]`, `name[2]` (or `name[1,1]`, …) of a flattened array are gathered under the array's name.
         unit: as declared, or None.
-        start: start value as declared (flat), or None.
+        start: start value as declared (flat), or None; that of a `Binary` in hexadecimal digits.
         items: names of an enumeration's items to their values.
         dependencies: for outputs, the names of the inputs that feed through directly; None where the FMU does not say
             (then every input must be assumed). For state derivatives it is unused.
@@ -140,6 +140,7 @@ class Description:
         internal_step: Co-Simulation: length in seconds of the steps that it makes inside, None where it does not say.
         usual_step: the step in seconds of its default experiment, None where it has none.
         can_get_and_set_state: whether it can be saved and restored.
+        asynchronous: Co-Simulation: a step may go on after the call that begins it (FMI 2.0, canRunAsynchronuously).
         own: where a scenario maps names: the description as the component gives it.
     """
 
@@ -154,6 +155,7 @@ class Description:
     internal_step: float | None = None
     usual_step: float | None = None
     can_get_and_set_state: bool = False
+    asynchronous: bool = False
     whole: bool = True
     own: Description | None = None
 
@@ -196,6 +198,10 @@ class Component(ABC):
 
     def step(self, time: float, step: float) -> None:
         """Advance from `time` by `step` seconds with the inputs held, handling events on the way."""
+        raise NotImplementedError
+
+    def step_in_halves(self, time: float, step: float, halvings: int) -> None:
+        """The same; a step that is discarded is made again in halves, so often one into another."""
         raise NotImplementedError
 
     def enter_step_mode(self) -> None:

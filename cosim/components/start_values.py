@@ -10,7 +10,7 @@ from cosim.errors import suggest
 
 
 def start_values(variable: Variable, values: Sequence[Value]) -> list[Any]:
-    """Start values in the variable's type.
+    """Start values in the variable's type; those of a `Binary`, given in hexadecimal digits, as bytes.
 
     Raises:
         ValueError: wrong number or type of values; the message is a predicate ("takes …").
@@ -25,6 +25,8 @@ def _start_value(variable: Variable, value: Value) -> Any:
         if isinstance(value, str):
             return value
         raise ValueError(f"takes a text, not {value!r}")
+    if variable.dtype == "Binary":
+        return from_digits(value)
     if variable.dtype == "Boolean":
         if isinstance(value, bool) or value in (0, 1):
             return bool(value)
@@ -40,3 +42,15 @@ def _start_value(variable: Variable, value: Value) -> Any:
     if value != int(value):
         raise ValueError(f"takes a whole number, not {value!r}")
     return int(value)
+
+
+def from_digits(value: Value) -> bytes:
+    """The bytes written in hexadecimal digits, two for each.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    try:
+        return bytes.fromhex(value if isinstance(value, str) else "no digits")
+    except ValueError:
+        raise ValueError(f"takes bytes in hexadecimal digits, in quotes, such as '666f6f', not {value!r}") from None

@@ -40,7 +40,15 @@ def choose_coupling(
         problems.error(
             f"{why}: {_quoted(lacking)} {'does' if len(lacking) == 1 else 'do'} not offer {_words(wanted)}", where
         )
-    loop = _loop(spec, node, descriptions, problems)
+    retries = 0 if method is Method.JOINT else spec.retries
+    loop = _loop(spec, node, _in_python(descriptions, method, retries), problems)
+    unsaved = [name for name, description in descriptions.items() if not description.can_get_and_set_state]
+    if retries and unsaved:
+        problems.error(
+            f"'retries' takes FMUs that can save their state, and {_quoted(unsaved)} cannot (canGetAndSetFMUState); "
+            "leave it out, or take a shorter step",
+            node.locate("coupling", "retries"),
+        )
     demands = own_steps(descriptions, readers if method is Method.MIDPOINT else frozenset())
     if method is Method.JOINT:
         demands = {}
@@ -48,7 +56,7 @@ def choose_coupling(
     if step_ns is None:
         return None
     tolerances = spec.relative_tolerance, spec.absolute_tolerance
-    return CouplingPlan(method, step_ns, Integrator(spec.integrator), *tolerances, loop, grid=bool(demands))
+    return CouplingPlan(method, step_ns, Integrator(spec.integrator), *tolerances, loop, bool(demands), retries)
 
 
 def _auto(descriptions: Mapping[str, Description]) -> Method:
@@ -75,17 +83,28 @@ def warn_of_order(agent: AgentPlan, where: Location, problems: Problems) -> None
                 )
 
 
-def _loop(spec: CouplingSpec, node: Node, descriptions: Mapping[str, Description], problems: Problems) -> Loop:
-    python = [name for name, description in descriptions.items() if description.fmi == "python"]
-    if spec.loop == "native" and python:
+def _in_python(descriptions: Mapping[str, Description], method: Method, retries: int) -> dict[str, str]:
+    """The components that the native loop cannot run, and why: `'plant' is Python`."""
+    found = {name: f"{name!r} is Python" for name, description in descriptions.items() if description.fmi == "python"}
+    for name, description in descriptions.items():
+        if name in found or method is Method.JOINT:
+            continue
+        if description.asynchronous:
+            found[name] = f"{name!r} steps asynchronously (canRunAsynchronuously)"
+        elif retries:
+            found[name] = f"{name!r} is to be saved before every step ('retries')"
+    return found
+
+
+def _loop(spec: CouplingSpec, node: Node, in_python: Mapping[str, str], problems: Problems) -> Loop:
+    if spec.loop == "native" and in_python:
         problems.error(
-            f"the native loop runs FMUs only, and {_quoted(python)} {'is' if len(python) == 1 else 'are'} Python; "
-            "leave 'loop' out",
+            f"the native loop cannot be had: {', '.join(in_python.values())}; leave 'loop' out",
             node.locate("coupling", "loop"),
         )
     if spec.loop is not None:
         return Loop(spec.loop)
-    return Loop.PYTHON if python else Loop.NATIVE
+    return Loop.PYTHON if in_python else Loop.NATIVE
 
 
 def _words(interface: Interface) -> str:

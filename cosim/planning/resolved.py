@@ -126,6 +126,7 @@ def _common(agent: AgentPlan, blueprint: Blueprint) -> Tree:
             "relative_tolerance": coupling.relative_tolerance,
             "absolute_tolerance": coupling.absolute_tolerance,
         }
+        | ({"retries": coupling.retries} if coupling.retries else {})
         | ({"loop": str(coupling.loop)} if spec.coupling.loop or coupling.loop is Loop.PYTHON else {}),
     }
     return {key: value for key, value in tree.items() if value or key == "record"}

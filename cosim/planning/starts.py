@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 from cosim.components.component import Value, Variable
+from cosim.components.start_values import from_digits
 from cosim.errors import suggest
 from cosim.scenario.spec import Normal, Uniform
 from network.draws import initial_normal, initial_uniform
@@ -123,6 +124,12 @@ def _checked(element: Element, variable: Variable) -> Element:
     if dtype == "Boolean" and isinstance(element, bool):
         return element
     if dtype == "String" and isinstance(element, str):
+        return element
+    if dtype == "Binary":
+        try:
+            from_digits(element)
+        except ValueError as error:
+            raise ValueError(f"{variable.name!r} {error}") from None
         return element
     if dtype == "Enumeration" and not isinstance(element, (bool, float)):
         return _item(element, variable)

@@ -245,6 +245,11 @@ class CouplingSpec(Spec):
     )
     relative_tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(1e-8, description="For dormand-prince.")
     absolute_tolerance: Annotated[float, Field(gt=0, lt=math.inf)] = Field(1e-10, description="For dormand-prince.")
+    retries: Annotated[int, Field(ge=0, le=30)] = Field(
+        0,
+        description="Co-Simulation: how often a step that an FMU discards is tried again in halves, one into another. "
+        "The FMUs must be able to save their state, and run in the Python loop.",
+    )
     loop: Literal["native", "python"] | None = Field(
         None, description="Who runs the micro steps: compiled code (default where all components are FMUs) or Python."
     )

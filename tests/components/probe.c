@@ -14,7 +14,7 @@
 #include "fmi2Functions.h"
 #include "fmi3Functions.h"
 
-enum { OK, DISCARD = 2, ERROR = 3, FATAL = 4 };
+enum { OK, DISCARD = 2, ERROR = 3, FATAL = 4, PENDING = 5 };
 enum { TIME = 0, FAILS = 1, N = 3, VECTOR = 10, STATE = 50, RATE = 51, EVENTS = 52, INSTANCES = 53, N_SLOTS = 64 };
 
 /* Values of the parameter `fails`. */
@@ -41,6 +41,10 @@ enum {
     CHATTERS,
     STEP_FIXED,
     EARLY_FOREVER,
+    STEP_DISCARDS_LONG,
+    STEP_PENDING,
+    STEP_PENDING_ERROR,
+    STEP_PENDING_FOREVER,
 };
 
 typedef struct {
@@ -50,7 +54,7 @@ typedef struct {
     bool structural_mode, fmi3, falling;
     bool has_event_mode, in_event_mode; /* Co-Simulation of FMI 3.0 */
     double next_event;
-    int updates;
+    int questions;
     void *environment;
     fmi3LogMessageCallback log3;
     const fmi2CallbackFunctions *callbacks2;
@@ -136,11 +140,37 @@ static int completed(Probe *p, bool *event, bool *stop) {
 static int step(Probe *p, double time, double length) {
     p->slots[TIME] = time;
     if (mode(p) == STEP_DISCARDS) return failed(p, DISCARD);
+    if (mode(p) == STEP_STOPS && !p->fmi3) return DISCARD;
     if (mode(p) == STEP_ERROR) return failed(p, ERROR);
     if (mode(p) == STEP_FATAL) return failed(p, FATAL);
     if (mode(p) == STEP_FIXED && (length != 0.01 || fabs(remainder(time, 0.01)) > 1e-12)) return failed(p, ERROR);
     p->slots[TIME] = time + length;
     p->slots[STATE] += length * rate(p);
+    if (mode(p) == STEP_DISCARDS_LONG && length > 0.003) return failed(p, DISCARD);
+    if (mode(p) >= STEP_PENDING && mode(p) <= STEP_PENDING_FOREVER) return p->questions = 3, PENDING;
+    return OK;
+}
+
+/* What became of a step that was pending. */
+static int pending(Probe *p) {
+    if (mode(p) == STEP_PENDING_FOREVER || --p->questions > 0) return PENDING;
+    return mode(p) == STEP_PENDING_ERROR ? failed(p, ERROR) : OK;
+}
+
+static int save(Probe *p, void **state) {
+    if (*state == NULL) *state = malloc(sizeof *p);
+    memcpy(*state, p, sizeof *p);
+    return OK;
+}
+
+static int restore(Probe *p, void *state) {
+    memcpy(p, state, sizeof *p);
+    return OK;
+}
+
+static int forget(void **state) {
+    free(*state);
+    *state = NULL;
     return OK;
 }
 
@@ -238,6 +268,14 @@ fmi3Status fmi3SetString(fmi3Instance i, const fmi3ValueReference vr[], size_t n
     return fmi3OK;
 }
 
+/* Its bytes, as characters, become the label. */
+fmi3Status fmi3SetBinary(fmi3Instance i, const fmi3ValueReference vr[], size_t n, const size_t sizes[],
+                         const fmi3Binary values[], size_t n_values) {
+    if (n != 1 || vr[0] != 60 || n_values != 1) return (fmi3Status)failed(i, ERROR);
+    snprintf(PROBE(i)->label, sizeof PROBE(i)->label, "%.*s", (int)sizes[0], (const char *)values[0]);
+    return fmi3OK;
+}
+
 fmi3Status fmi3SetTime(fmi3Instance i, fmi3Float64 time) {
     PROBE(i)->slots[TIME] = time;
     return fmi3OK;
@@ -281,6 +319,10 @@ fmi3Status fmi3DoStep(fmi3Instance i, fmi3Float64 time, fmi3Float64 length, fmi3
     }
     return (fmi3Status)step(p, time, length);
 }
+
+fmi3Status fmi3GetFMUState(fmi3Instance i, fmi3FMUState *state) { return (fmi3Status)save(i, state); }
+fmi3Status fmi3SetFMUState(fmi3Instance i, fmi3FMUState state) { return (fmi3Status)restore(i, state); }
+fmi3Status fmi3FreeFMUState(fmi3Instance i, fmi3FMUState *state) { return i ? (fmi3Status)forget(state) : fmi3Error; }
 
 /* --- FMI 2.0 ---------------------------------------------------------------------------------------------------- */
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String token, fmi2String resources,
@@ -361,5 +403,18 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real length, fmi2Boole
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
     (void)kind;
     *value = PROBE(c)->slots[TIME];
+    return fmi2OK;
+}
+fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) { return (fmi2Status)save(c, state); }
+fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) { return (fmi2Status)restore(c, state); }
+fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) { return c ? (fmi2Status)forget(state) : fmi2Error; }
+fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {
+    if (kind != fmi2DoStepStatus) return fmi2Error;
+    *value = (fmi2Status)pending(c);
+    return fmi2OK;
+}
+fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
+    if (kind != fmi2Terminated) return fmi2Error;
+    *value = mode(c) == STEP_STOPS;
     return fmi2OK;
 }

@@ -22,6 +22,7 @@ FAILS = (
     *("output_nan", "state_grows", "update_stops", "completed_stops", "derivative_error", "completed_error"),
     *("update_error", "never_converges", "derivative_nan", "derivative_jumps"),
     *("derivative_hangs", "derivative_crashes", "indicator_nan", "chatters", "step_fixed", "early_forever"),
+    *("step_discards_long", "step_pending", "step_pending_error", "step_pending_forever"),
 )
 
 

@@ -204,8 +204,8 @@ def test_texts_and_bytes_are_no_numbers(opened: Open) -> None:
     component = initialised(opened(3, CS))
     with pytest.raises(ComponentError, match="label is of type String: it holds no numbers"):
         get(component, "label")
-    with pytest.raises(ComponentError, match="blob is of type Binary"):
-        component.start(component.description.variables["blob"], (0,))
+    with pytest.raises(ComponentError, match="blob is of type Binary: it holds no numbers"):
+        get(component, "blob")
 
 
 # --- start values ---------------------------------------------------------------------------------------------------
@@ -215,6 +215,19 @@ def test_start_values_of_every_kind(opened: Open, fmi: int) -> None:
     assert get(component, "Enumeration_out") == [2.0]
     assert get(component, "Boolean_out") == [1.0]
     assert get(component, "Int32_out") == [-7.0]
+
+
+def test_bytes_as_a_start_value(opened: Open) -> None:
+    component = initialised(opened(3, CS, fails="step_error", blob="6D6F 746f72"))
+    with pytest.raises(ComponentError) as caught:
+        component.step(0.0, 0.1)
+    assert caught.value.log == "[Error] motor gives up at t = 0"
+
+
+@pytest.mark.parametrize("value", ["6d6", "0xff", 616263, True])
+def test_wrong_bytes(opened: Open, value: Value) -> None:
+    with pytest.raises(ComponentError, match="blob takes bytes in hexadecimal digits, in quotes"):
+        opened(3, CS, blob=value)
 
 
 @pytest.mark.parametrize(

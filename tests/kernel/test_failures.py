@@ -55,9 +55,9 @@ CO_SIMULATION = {
     "step_discards": "fmi{fmi}DoStep returned Discard",
     "step_error": "fmi{fmi}DoStep returned Error",
     "step_fatal": "fmi{fmi}DoStep returned Fatal",
+    "step_stops": "asks to end the simulation (terminateSimulation)",
 }
 CO_SIMULATION_3 = {
-    "step_stops": "asks to end the simulation (terminateSimulation)",
     "step_early": "fmi3DoStep returned early, at t = 0.0025 s",
 }
 

@@ -78,7 +78,17 @@ def test_auto(descriptions: list[Description], method: Method) -> None:
         (
             "{loop: native}",
             [describe(ME), describe(ME, fmi="python")],
-            "the native loop runs FMUs only, and 'controller' is Python",
+            "the native loop cannot be had: 'controller' is Python; leave 'loop' out",
+        ),
+        (
+            "{loop: native}",
+            [describe(CS, asynchronous=True), describe(CS)],
+            "the native loop cannot be had: 'plant' steps asynchronously (canRunAsynchronuously); leave 'loop' out",
+        ),
+        (
+            "{retries: 3}",
+            [describe(CS), describe(CS, can_get_and_set_state=True)],
+            "'retries' takes FMUs that can save their state, and 'plant' cannot (canGetAndSetFMUState)",
         ),
     ],
 )
@@ -181,4 +191,10 @@ def test_loops() -> None:
     native, _, _ = choose("{}", describe(ME))
     python, _, _ = choose("{loop: python}", describe(ME))
     mixed, _, _ = choose("{}", describe(ME), describe(ME, fmi="python"))
-    assert [found.loop for found in (native, python, mixed) if found] == [Loop.NATIVE, Loop.PYTHON, Loop.PYTHON]
+    slow, _, _ = choose("{}", describe(CS, asynchronous=True))
+    saved, _, _ = choose("{retries: 3}", describe(CS, can_get_and_set_state=True))
+    joint, _, _ = choose("{retries: 3}", describe(ME, asynchronous=True, can_get_and_set_state=True))
+    assert [found.loop for found in (native, joint) if found] == [Loop.NATIVE] * 2
+    assert [found.loop for found in (python, mixed, slow, saved) if found] == [Loop.PYTHON] * 4
+    assert saved is not None
+    assert saved.retries == 3

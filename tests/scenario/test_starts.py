@@ -51,7 +51,8 @@ def test_types(dtype: str, value: Any) -> None:
         ("Int32", True, "'x' is an Int32; true is not"),
         ("String", 1, "'x' is a String; 1 is not; put it in quotes"),
         ("Boolean", "yes", "write true or false"),
-        ("Binary", "00", "'x' is a Binary"),
+        ("Binary", "0x0", "'x' takes bytes in hexadecimal digits, in quotes, such as '666f6f', not '0x0'"),
+        ("Binary", 12, "in quotes"),
     ],
 )
 def test_wrong_types(dtype: str, value: Any, sentence: str) -> None:

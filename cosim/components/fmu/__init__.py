@@ -58,6 +58,7 @@ def describe(path: Path, structural: Mapping[str, int] | None = None) -> Descrip
         variable_step=co_simulation is None or co_simulation.canHandleVariableCommunicationStepSize,
         internal_step=internal_step,
         usual_step=usual_step,
+        asynchronous=file.fmi == 2 and co_simulation is not None and bool(co_simulation.canRunAsynchronuously),
         can_get_and_set_state=all(x.canGetAndSetFMUstate for x in implementations.values()),
         whole=file.archive.whole,
     )

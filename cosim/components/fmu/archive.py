@@ -11,7 +11,7 @@ import stat
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -152,12 +152,12 @@ def _check(path: Path, members: Sequence[zipfile.ZipInfo]) -> None:
     Raises:
         ConfigError: says which member, and why.
     """
-    seen: set[str] = set()
+    seen: dict[str, tuple[int, int]] = {}
     for member in members:
         reason = _escapes(member) or _unfit(member, seen)
         if reason:
             raise refuse(path, f"is refused: its member {member.filename!r} {reason}")
-        seen.add(member.filename)
+        seen[member.filename] = member.CRC, member.file_size
     size, packed, unpacked = (
         path.stat().st_size,
         sum(member.compress_size for member in members),
@@ -189,10 +189,10 @@ def _escapes(member: zipfile.ZipInfo) -> str:
     return ""
 
 
-def _unfit(member: zipfile.ZipInfo, seen: Container[str]) -> str:
+def _unfit(member: zipfile.ZipInfo, seen: Mapping[str, tuple[int, int]]) -> str:
     """Why the member is refused although it stays inside the folder; empty if it is not."""
-    if member.filename in seen and not member.is_dir():
-        return "is there twice, and tools differ in which one they take"
+    if seen.get(member.filename, (member.CRC, member.file_size)) != (member.CRC, member.file_size):
+        return "is there twice with different contents, and tools differ in which one they take"
     if member.filename in ("modelDescription.xml", ORIGINAL) and member.file_size > _DESCRIPTION_BYTES:
         return (
             f"takes {member.file_size / 1e6:.0f} MB, more than the {_DESCRIPTION_BYTES >> 20} MiB that are read of it"

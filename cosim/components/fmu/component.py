@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import functools
+import time as clock
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,7 +15,9 @@ import numpy as np
 
 from cosim.components.component import Component, Description, Floats, Interface, Value, Variable
 from cosim.components.fmu.library import (
+    DO_STEP_STATUS,
     LAST_SUCCESSFUL_TIME,
+    TERMINATED,
     File,
     FMICallException,
     Log,
@@ -25,7 +28,7 @@ from cosim.components.fmu.library import (
 from cosim.components.fmu.values import FMI2_TYPES, FMI3_TYPES, Buffer
 from cosim.components.fmu.variables import fmi3_shape
 from cosim.components.start_values import start_values
-from cosim.errors import ComponentError, ConfigError
+from cosim.errors import ComponentError, ConfigError, DiscardedStepError
 
 DISCRETE_STATE_ITERATIONS = 100
 """How often an FMU may ask for another update of its discrete states at one instant."""
@@ -36,7 +39,13 @@ EVENTS_PER_STEP = 100
 SHORTEST = 1e-9
 """What an early return may leave of a step, as a part of it: nothing, but for rounding."""
 
-DISCARD, FATAL = 2, 4
+WARNING, DISCARD, FATAL, PENDING = 1, 2, 4, 5
+
+PENDING_DEADLINE = 60.0
+"""Seconds of wall time that an asynchronous step may take."""
+
+PENDING_PAUSE = 0.001
+"""Seconds between two questions whether it is done."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +112,14 @@ class FmuComponent(Component):
         self._failed = self._failed or status > DISCARD
         if status == FATAL:
             self._usable = False
-        return ComponentError(self.name, f"{function} returned {status_name(status)}", self.log.last)
+        message = f"{function} returned {status_name(status)}"
+        if status == DISCARD and function.endswith("DoStep"):
+            return DiscardedStepError(self.name, message + self._how_far(), self.log.last)
+        return ComponentError(self.name, message, self.log.last)
+
+    def _how_far(self) -> str:
+        """What can be said of a step that was discarded."""
+        return ""
 
     def stop_requested(self) -> ComponentError:
         """The error for an FMU that sets `terminateSimulation`."""
@@ -172,6 +188,9 @@ class FmuComponent(Component):
         if variable.dtype == "String":
             self._set_strings(variable, (ctypes.c_char_p * len(values))(*(value.encode() for value in values)))
             return
+        if variable.dtype == "Binary":
+            self._set_binaries(variable, values)
+            return
         buffer = self._buffer(variable)
         try:
             buffer.values[:] = values
@@ -181,6 +200,9 @@ class FmuComponent(Component):
 
     @abstractmethod
     def _set_strings(self, variable: Variable, values: ctypes.Array[ctypes.c_char_p]) -> None: ...
+
+    def _set_binaries(self, variable: Variable, values: Sequence[bytes]) -> None:
+        raise NotImplementedError
 
     # --- life cycle -------------------------------------------------------------------------------------------------
     @abstractmethod
@@ -192,6 +214,45 @@ class FmuComponent(Component):
             self._usable = False
             with contextlib.suppress(FMICallException):  # it ends either way
                 self._end(running=self._initialised and not self._failed)
+
+    # --- Co-Simulation ----------------------------------------------------------------------------------------------
+    _goes_back = False
+    """Whether the state before the step under way may be restored."""
+
+    def step_in_halves(self, time: float, step: float, halvings: int) -> None:
+        self._goes_back = True
+        try:
+            self._step_in_halves(time, step, halvings)
+        finally:
+            self._goes_back = False
+
+    def _step_in_halves(self, time: float, step: float, halvings: int) -> None:
+        if self._try_step(time, step, last=halvings == 0):
+            return
+        self._step_in_halves(time, 0.5 * step, halvings - 1)
+        self._step_in_halves(time + 0.5 * step, 0.5 * step, halvings - 1)
+
+    def _try_step(self, time: float, step: float, *, last: bool) -> bool:
+        """Make a step; False, and back where it began, if it is discarded and this is not the last attempt."""
+        state = self._state_call("getFMUState")
+        try:
+            self.step(time, step)
+        except DiscardedStepError as error:
+            if last:
+                shorter = f"; it is the shortest step that `retries` allows ({step:.3g} s)"
+                raise DiscardedStepError(self.name, error.message + shorter, error.log) from None
+            self._state_call("setFMUState", state)
+            return False
+        finally:
+            if self._usable and not self._failed:
+                self._state_call("freeFMUState", state)
+        return True
+
+    def _state_call(self, function: str, *arguments: Any) -> Any:
+        try:
+            return getattr(self._fmu, function)(*arguments)
+        except FMICallException as error:
+            raise self.failure(error.function, error.status) from None
 
     # --- Model Exchange ---------------------------------------------------------------------------------------------
     def _resize(self, n_states: int, n_indicators: int) -> None:
@@ -290,17 +351,44 @@ class Fmi2Component(FmuComponent):
             self._fmu.fmi2FreeInstance(self._instance)
 
     def step(self, time: float, step: float) -> None:
-        self._call("fmi2DoStep", time, step, 1)
+        self.require_usable()
+        try:
+            self._fmu.fmi2DoStep(self._instance, time, step, 0 if self._goes_back else 1)
+        except FMICallException as error:
+            if error.status != PENDING or not self.description.asynchronous:
+                raise self.failure("fmi2DoStep", error.status) from None
+            self._await_step()
+
+    def _await_step(self) -> None:
+        """Wait for an asynchronous step (FMI 2.0.5, section 4.2.2)."""
+        deadline = clock.monotonic() + PENDING_DEADLINE
+        while (status := self._fmu.getStatus(DO_STEP_STATUS)) == PENDING:
+            if clock.monotonic() > deadline:
+                self._usable = False  # it still works on its memory, which must not be freed
+                text = f"fmi2DoStep returned Pending, and its step is not done after {PENDING_DEADLINE:.3g} s"
+                raise ComponentError(self.name, text, self.log.last)
+            clock.sleep(PENDING_PAUSE)
+        if status > WARNING:
+            raise self.failure("fmi2DoStep", status)
 
     def failure(self, function: str, status: int) -> ComponentError:
         error = super().failure(function, status)
-        if function != "fmi2DoStep" or status != DISCARD:
-            return error
-        try:
-            reached = self._fmu.getRealStatus(LAST_SUCCESSFUL_TIME)
-        except FMICallException:
-            return error
-        return ComponentError(self.name, f"{error.message}: it only got to t = {reached:.9g} s", error.log)
+        if isinstance(error, DiscardedStepError) and self._asks_for_the_end():
+            return self.stop_requested()
+        if status == PENDING:
+            text = f"{error.message}, although it declares that it does not step asynchronously (canRunAsynchronuously)"
+            return ComponentError(self.name, text, error.log)
+        return error
+
+    def _asks_for_the_end(self) -> bool:
+        with contextlib.suppress(FMICallException):
+            return bool(self._fmu.getBooleanStatus(TERMINATED))
+        return False
+
+    def _how_far(self) -> str:
+        with contextlib.suppress(FMICallException):
+            return f": it only got to t = {self._fmu.getRealStatus(LAST_SUCCESSFUL_TIME):.9g} s"
+        return ""
 
     def set_time(self, time: float) -> None:
         self._call("fmi2SetTime", time)
@@ -363,6 +451,14 @@ class Fmi3Component(FmuComponent):
         references = (ctypes.c_uint * len(variable.references))(*variable.references)
         self._call("fmi3SetString", references, len(references), values, len(values))
 
+    def _set_binaries(self, variable: Variable, values: Sequence[bytes]) -> None:
+        references = (ctypes.c_uint * len(variable.references))(*variable.references)
+        sizes = (ctypes.c_size_t * len(values))(*map(len, values))
+        memory = [ctypes.create_string_buffer(value, max(len(value), 1)) for value in values]
+        byte_pointer = ctypes.POINTER(ctypes.c_uint8)
+        pointers = (byte_pointer * len(values))(*(ctypes.cast(piece, byte_pointer) for piece in memory))
+        self._call("fmi3SetBinary", references, len(references), sizes, pointers, len(values))
+
     def enter_initialization(self, start_time: float, stop_time: float) -> None:
         self._call("fmi3EnterInitializationMode", False, 0.0, start_time, True, stop_time)
 
@@ -396,7 +492,7 @@ class Fmi3Component(FmuComponent):
         """Whether events are to be handled, whether it returned early, and the time reached."""
         self.require_usable()
         try:
-            needed, stop, early, reached = self._fmu.doStep(time, step)
+            needed, stop, early, reached = self._fmu.doStep(time, step, not self._goes_back)
         except FMICallException as error:
             raise self.failure("fmi3DoStep", error.status) from None
         if stop:

@@ -36,15 +36,19 @@ with contextlib.redirect_stdout(io.StringIO()):  # where FMPy has no logger for 
         defaultCallbacks,
         fmi2CallbackFunctions,
         fmi2CallbackLoggerTYPE,
+        fmi2DoStepStatus,
         fmi2LastSuccessfulTime,
+        fmi2Terminated,
     )
     from fmpy.fmi3 import FMU3Model, FMU3Slave
     from fmpy.model_description import ValidationError, read_model_description
 
 __all__ = [
+    "DO_STEP_STATUS",
     "LAST_SUCCESSFUL_TIME",
     "LOG_LINES",
     "PLATFORM",
+    "TERMINATED",
     "FMICallException",
     "File",
     "Log",
@@ -57,6 +61,8 @@ __all__ = [
 
 PLATFORM: str = fmpy.platform_tuple
 LAST_SUCCESSFUL_TIME: int = fmi2LastSuccessfulTime
+DO_STEP_STATUS: int = fmi2DoStepStatus
+TERMINATED: int = fmi2Terminated
 
 LOG_LINES = 100
 """How many of the latest lines that an instance logged are kept."""

@@ -102,9 +102,9 @@ def _measured(unit: str | None, units: Mapping[str, Measure], *, relative: bool)
 
 def _start(text: str | None, dtype: str, size: int) -> tuple[Value, ...] | None:
     """Declared start values, flat. Of an array that was resized they are known only if all are equal."""
-    if text is None or dtype in ("Binary", "Clock"):
+    if text is None or dtype == "Clock":
         return None
-    if dtype == "String":
+    if dtype in ("String", "Binary"):
         return (text,) * size
     values = [_number(word, dtype) for word in text.split()]
     if len(values) == size:
