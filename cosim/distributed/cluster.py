@@ -13,6 +13,7 @@ from cosim.distributed.assignment import EMULATOR, Share, divide, share_of
 from cosim.distributed.inheritance import leave_word
 from cosim.distributed.orchestration import Orchestration
 from cosim.distributed.processes import Processes
+from cosim.distributed.standing import carried
 from cosim.distributed.supervision import Supervisor, Tell
 from cosim.errors import ClusterError, CosimError
 from cosim.inline import Interrupted, Observer, Take
@@ -96,12 +97,21 @@ def run(  # noqa: PLR0917
         processes.start((EMULATOR, *workers))
         seers = observers if pacer is None else [*observers, pacer]
         orchestration = Orchestration(plan, workers, seers, take, paced=pacer is not None)
-        with _hub(run_id, processes, stop_requested) as hub:
+        with _hub(run_id, plan, workers, processes, stop_requested) as hub:
             Supervisor(plan, hub, processes, orchestration, stop_requested, step_deadline, tell, pacer).run()
 
 
-def _hub(run_id: str, processes: Processes, stop_requested: Callable[[], bool]) -> Hub:
-    """The hub, as soon as the emulator's process, which is the router, is there to connect to."""
+def _hub(
+    run_id: str,
+    plan: Plan,
+    workers: Mapping[str, Share],
+    processes: Processes,
+    stop_requested: Callable[[], bool],
+) -> Hub:
+    """The hub, as soon as the emulator's process, which is the router, is there to connect to.
+
+    A worker that is lost meanwhile is replaced later, if it is to be.
+    """
     from network.zenoh import open_hub
 
     deadline = time.monotonic() + _ROUTER_SECONDS
@@ -111,7 +121,11 @@ def _hub(run_id: str, processes: Processes, stop_requested: Callable[[], bool]) 
         except TransportError as error:
             if stop_requested():
                 raise Interrupted(0) from error
-            if (ended := processes.ended()) is not None:
-                raise ClusterError(f"{ended}: its process {processes.condition(ended)} before it joined") from error
+            lost = processes.lost()
+            if lost == EMULATOR or (lost is not None and plan.on_worker_loss == "abort"):
+                who = carried(plan, lost, workers)
+                raise ClusterError(
+                    f"{who} {processes.condition(lost)} before the first tick\n  all others wait for all to be ready"
+                ) from error
             if time.monotonic() > deadline:
                 raise ClusterError(str(error)) from error

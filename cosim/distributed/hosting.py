@@ -253,6 +253,9 @@ class Visitors(Processes):
     def dismiss(self, name: str) -> None:
         """It is not this process's to end."""
 
+    def end(self) -> None:
+        """They end by themselves."""
+
     def await_end(self, *names: str) -> None:
         """It is gone as far as can be seen from here."""
 

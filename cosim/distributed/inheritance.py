@@ -13,6 +13,9 @@ from pathlib import Path
 from cosim.distributed.assignment import EMULATOR
 from cosim.errors import CosimError
 
+EXIT_ORPHANED = 4
+"""Exit code of a process whose orchestrator is gone."""
+
 _WORD = "run-folder"
 _LOCK_SECONDS = 10.0  # in which the system closes the files of a process that it has killed
 _RECOVERY_SECONDS = 120.0

@@ -159,9 +159,10 @@ class Orchestration:
         self._employed += names
         return [Message(name, Kind.SCENARIO, 0, job) for name in names]
 
-    def end(self) -> list[Message]:
-        """Farewell to everybody."""
-        return [Message(name, Kind.BYE, 0) for name in self.processes]
+    def end(self, why: str = "") -> list[Message]:
+        """Farewell to everybody; `why` the run ends before its end."""
+        body = encode_object({"message": why}) if why else ()
+        return [Message(name, Kind.BYE, 0, body) for name in self.processes]
 
     def handle(self, envelope: Envelope) -> list[Message]:
         """Whatever a message brings.
@@ -392,6 +393,7 @@ class Orchestration:
         """How far everybody is."""
         return Standing(
             ready=self._granted >= 0,
+            released=self._granted,
             exchanged=self._exchanged,
             ticks={name: self.position(name) for name in self._carriers},
             samples={name: carrier.samples for name, carrier in self._carriers.items()},

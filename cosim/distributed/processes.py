@@ -12,10 +12,13 @@ from contextlib import suppress
 from pathlib import Path
 
 from cosim.distributed import whereabouts
+from cosim.distributed.inheritance import EXIT_ORPHANED
 from cosim.distributed.replacement import Moment
 from cosim.errors import ClusterError
 
 _EXIT_SECONDS = 1.0
+_STOPPED_SECONDS = 2.0
+"""After so long, a stopped process is lost; the same as for those whose connection is silent."""
 
 
 class Processes:
@@ -32,6 +35,7 @@ class Processes:
         self.endpoint = endpoint
         self._scratch = scratch
         self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._stopped_since: dict[str, float] = {}
 
     def __enter__(self) -> Processes:
         return self
@@ -55,9 +59,22 @@ class Processes:
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, previous)
 
-    def ended(self) -> str | None:
-        """A process that has ended."""
-        return next((name for name, process in self._running.items() if process.poll() is not None), None)
+    def lost(self) -> str | None:
+        """A process that has ended, or has been stopped for a while."""
+        now = time.monotonic()
+        for name, process in self._running.items():
+            if process.poll() is not None:
+                return name
+            if _stopped(process.pid) is None:
+                self._stopped_since.pop(name, None)
+            elif now - self._stopped_since.setdefault(name, now) > _STOPPED_SECONDS:
+                return name
+        return None
+
+    def obstacle(self) -> str | None:
+        """Why another process could not join; None if it can."""
+        path = self.endpoint.partition("/")[2]
+        return None if Path(path).exists() else f"the socket of the run is gone: {path}"
 
     def condition(self, name: str) -> str | None:
         """How a process ended, or that it is stopped; None if there is nothing to say."""
@@ -68,7 +85,10 @@ class Processes:
         if code < 0:
             hint = ", as the system does when memory runs out" if -code == signal.SIGKILL else ""
             return f"was killed by signal {-code} ({_signal_name(-code)}{hint})"
-        return f"ended with exit code {code}"
+        if code == EXIT_ORPHANED:
+            return "ended because it had lost its connection to the others"
+        hint = f" ({_signal_name(code - 128)})" if code > 128 else ""
+        return f"ended with exit code {code}{hint}"
 
     def moment(self, name: str) -> Moment | None:
         """What a worker is doing, or was when it ended; None if it is not known."""
@@ -82,17 +102,24 @@ class Processes:
 
     def dismiss(self, name: str) -> None:
         """Kill a process, if it has not ended, and forget it."""
+        self._stopped_since.pop(name, None)
         _end([self._running.pop(name)])
 
     def await_all(self, seconds: float, but: Collection[str] = ()) -> None:
-        """Give all of them, but some, time to end in good order."""
+        """Give all of them, but some and those that are stopped, time to end in good order."""
         deadline = time.monotonic() + seconds
         for process in (process for name, process in self._running.items() if name not in but):
+            if _stopped(process.pid) is not None:
+                continue
             with suppress(subprocess.TimeoutExpired):
                 process.wait(max(0.0, deadline - time.monotonic()))
 
-    def __exit__(self, *_: object) -> None:
+    def end(self) -> None:
+        """Kill all that have not ended."""
         _end(self._running.values())
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
 
 
 def _end(processes: Iterable[subprocess.Popen[bytes]]) -> None:

@@ -24,7 +24,7 @@ from typing import BinaryIO, NoReturn, Protocol, cast
 from cosim.distributed.assignment import EMULATOR, ORCHESTRATOR, Job, Message
 from cosim.distributed.emulation import Emulation
 from cosim.distributed.failure import OPENING, Failure
-from cosim.distributed.inheritance import bequest, inherit
+from cosim.distributed.inheritance import EXIT_ORPHANED, bequest, inherit
 from cosim.distributed.worker import Worker
 from cosim.errors import ClusterError, CosimError
 from cosim.plan import Plan
@@ -45,9 +45,6 @@ _JOIN_SECONDS = 30.0
 _GRACE_SECONDS = 0.5
 _MAIL_BYTES = 32 << 20
 """Kept in memory for replacements of lost workers; more goes to a file."""
-
-EXIT_ORPHANED = 4
-"""Exit code of a process whose orchestrator is gone."""
 
 
 class Machine(Protocol):
@@ -124,8 +121,12 @@ def serve(endpoint: Endpoint, whereabouts: Ints | None = None, planned: Callable
     except PeerLost:
         raise
     except Exception as error:
-        expected = isinstance(error, (CosimError, WireError))
-        text = str(error) if expected else f"{type(error).__name__}: {error}\n{traceback.format_exc()}"
+        if isinstance(error, (CosimError, WireError, OSError)):
+            text = str(error)
+        elif isinstance(error, MemoryError):
+            text = f"memory ran out{': ' if str(error) else ''}{error}"
+        else:
+            text = f"{type(error).__name__}: {error}\n{traceback.format_exc()}"
         failure = Failure(OPENING, 0, ClusterError(text.rstrip()))
         endpoint.send(ORCHESTRATOR, Kind.FAILURE, 0, *failure.encode())
         _await_farewell(endpoint)

@@ -19,6 +19,7 @@ class Standing:
 
     Attributes:
         ready: whether the first tick has begun.
+        released: the last tick to which everybody may go.
         exchanged: ticks that the emulator has answered.
         ticks: of each worker, the one that it is at: its mail is what it needs next.
         samples: of each worker, ticks whose samples the emulator has.
@@ -26,6 +27,7 @@ class Standing:
     """
 
     ready: bool
+    released: int
     exchanged: int
     ticks: Mapping[str, int]
     samples: Mapping[str, int]
@@ -84,6 +86,8 @@ def _reason(plan: Plan, workers: Mapping[str, Share], standing: Standing, name: 
         late = [other for other, count in standing.samples.items() if count == tick]
         if standing.exchanged >= plan.ticks:
             return "has done its part", ""
+        if standing.exchanged >= standing.released:
+            return f"waits for the orchestrator to release tick {standing.released + 1}", ""
         return f"waits for the samples of tick {tick} from {_together(plan, workers, late)}", ""
     tick = standing.ticks[name]
     if tick >= plan.ticks:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
@@ -9,6 +10,7 @@ from dataclasses import replace
 from typing import Any, TypeAlias
 
 from cosim.distributed.assignment import EMULATOR
+from cosim.distributed.failure import OPENING
 from cosim.distributed.orchestration import Orchestration
 from cosim.distributed.processes import Processes
 from cosim.distributed.replacement import Moment, when
@@ -31,6 +33,11 @@ _ASK_SECONDS = 0.5
 _TELL_SECONDS = 5.0
 """How often to say how far replacements are."""
 _SETTLE_SECONDS = 1.0
+_AHEAD_TICKS = 32
+"""Released ticks of a paced run that nobody has got to yet: what is sent to a process that is stopped is bounded."""
+_GAP_SECONDS = 1.5
+"""Others take this process for lost if it does nothing for 2 s, for which their connections may be silent."""
+_LATELY_SECONDS = 5.0
 _FAREWELL_SECONDS = 10.0
 _FAULT_FAREWELL_SECONDS = 1.0
 
@@ -69,29 +76,37 @@ class Supervisor:
         self._pacer = pacer
         self._start_deadline = _START_SECONDS + _START_SECONDS_PER_AGENT * len(plan.agents)
         self._tell = tell
+        self._awake = time.monotonic()
+        self._gap, self._gap_ended = 0.0, -math.inf
 
     def run(self) -> None:
         """Until the run is over; see `cosim.distributed.cluster.run`."""
-        farewell = _FAULT_FAREWELL_SECONDS
+        farewell, why = _FAULT_FAREWELL_SECONDS, "it was stopped"
         try:
             self._await_joined()
             send(self._hub, self._orchestration.begin())
             self._play()
-            farewell = _FAREWELL_SECONDS
+            farewell, why = _FAREWELL_SECONDS, ""
         except WireError as error:
+            why = str(error)
             raise ClusterError(f"{error}; tick {self._orchestration.recorded} is the last one recorded") from error
+        except CosimError as error:
+            why = str(error).partition("\n")[0]
+            raise
         finally:
-            self._dismiss(farewell)
+            self._dismiss(farewell, why)
 
     def _await_joined(self) -> None:
         deadline = time.monotonic() + self._start_deadline
         while True:
             try:
                 self._hub.await_peers(self._orchestration.processes, _WATCH_SECONDS)
-            except TransportTimeout as error:
+            except TransportTimeout:
                 self._watch()
                 if time.monotonic() > deadline:
-                    raise ClusterError(f"{error} (after {self._start_deadline:g} s)") from error
+                    missing = [name for name in self._orchestration.processes if name not in self._hub.peers]
+                    self._resolve(missing, f"did not join within {self._start_deadline:g} s", settled=True)
+                    deadline = time.monotonic() + self._start_deadline
             else:
                 return
 
@@ -148,12 +163,17 @@ class Supervisor:
         if orchestration.released < 0:
             pacer.start()
         due = min(pacer.released(), self._plan.ticks)
+        if due > orchestration.recorded + _AHEAD_TICKS:  # everybody is late: whatever comes is the signal to go on
+            due = orchestration.recorded + _AHEAD_TICKS
+            patience = _WATCH_SECONDS
+        else:
+            patience = min(_WATCH_SECONDS, pacer.remaining(due + 1))
         if due > orchestration.released:
             waited = self._waits_for_the_clock
             send(self._hub, orchestration.release(due))
             if waited:
                 pacer.begun(due)
-        return min(_WATCH_SECONDS, pacer.remaining(due + 1))
+        return patience
 
     @property
     def _waits_for_the_clock(self) -> bool:
@@ -169,9 +189,17 @@ class Supervisor:
         """Look whether somebody asks for the end, and whether all processes are there."""
         if self._stop_requested():
             raise Interrupted(max(0, self._orchestration.recorded))
-        name = self._processes.ended()
+        self._notice_gap()
+        name = self._processes.lost()
         if name is not None:
-            self._lose(name, "its process ended")
+            self._lose(name, "its process is gone")
+
+    def _notice_gap(self) -> None:
+        """Remember when this process did not get to listen."""
+        now = time.monotonic()
+        if now - self._awake > _GAP_SECONDS:
+            self._gap, self._gap_ended = now - self._awake, now
+        self._awake = now
 
     def _employ(self) -> None:
         """Give a job to replacements that have joined."""
@@ -184,10 +212,12 @@ class Supervisor:
         """A process is gone, or cut off: replace it, or end the run."""
         if name not in self._orchestration.processes:  # it has been replaced
             return
+        self._notice_gap()
         self._processes.await_end(name, EMULATOR)
         if self._processes.condition(EMULATOR) is not None:  # with it, all connections may have broken
             name = EMULATOR
-        self._resolve([name], self._processes.condition(name) or f"was lost: {reason}")
+        condition = self._processes.condition(name)
+        self._resolve([name], condition or "was lost", "" if condition else f": {reason}")
 
     def _hang(self) -> None:
         """Nobody gets further: replace whoever holds the others up, or end the run."""
@@ -210,8 +240,14 @@ class Supervisor:
         self._resolve([worker], hole)
         return True
 
-    def _resolve(self, names: Sequence[str], condition: str, *, settled: bool = False) -> None:
+    def _resolve(self, names: Sequence[str], condition: str, detail: str = "", *, settled: bool = False) -> None:
         """Replace processes, or end the run by an account of who is to blame.
+
+        Args:
+            names: of the processes.
+            condition: what became of them; the tick will follow.
+            detail: that follows the tick.
+            settled: whether all that was under way has been taken.
 
         Raises:
             CosimError: the run is over.
@@ -222,6 +258,8 @@ class Supervisor:
         if self._plan.on_worker_loss == "restart" and EMULATOR not in names:
             for name in names:
                 objection = orchestration.why_not_replaced(name, moments[name])
+                if objection is None and (obstacle := self._processes.obstacle()) is not None:
+                    objection = f"is not replaced: {obstacle}"
                 if objection is None:
                     self._replace(name, moments[name], condition)
                 else:
@@ -233,14 +271,16 @@ class Supervisor:
             self._settle(names)
         if orchestration.failure is not None:
             raise orchestration.failure.error
-        raise self._account(names, condition, moments[names[0]], [f"{name} {why}" for name, why in objections])
+        further = [f"{name} {why}" for name, why in objections]
+        raise self._account(names, f"{condition} {self._when(moments[names[0]])}{detail}", further)
 
     def _moment(self, name: str) -> Moment:
         """When it was lost, and at which agent."""
         share = self._orchestration.workers.get(name)
         known = self._processes.moment(name)
         if share is None or known is None:
-            return Moment(self._orchestration.position(name))
+            begun = name not in self._orchestration.unready
+            return Moment(self._orchestration.position(name) if begun else OPENING)
         return known if known.agent is None else replace(known, agent=share[known.agent])
 
     def _replace(self, name: str, moment: Moment, condition: str) -> None:
@@ -253,10 +293,14 @@ class Supervisor:
         self._tell(f"{who} {condition} {self._when(moment)}; {new} takes its place", entry)
 
     # --- accounts of faults -----------------------------------------------------------------------------------------
-    def _account(self, names: Sequence[str], condition: str, moment: Moment, further: Sequence[str]) -> ClusterError:
+    def _account(self, names: Sequence[str], what: str, further: Sequence[str]) -> ClusterError:
         workers = self._orchestration.workers
         who = " and ".join(carried(self._plan, name, workers) for name in names)
-        lines = [f"{who} {condition} {self._when(moment)}", *further]
+        lines = [f"{who} {what}", *further]
+        if time.monotonic() - self._gap_ended < _LATELY_SECONDS:
+            lines.append(
+                f"the orchestrator itself did not listen for {self._gap:.1f} s before that (stopped, as by Ctrl-Z?)"
+            )
         cut_off = self._processes.condition(EMULATOR) is not None
         lines += waits(self._plan, workers, self._orchestration.standing(), names, cut_off=cut_off)
         return ClusterError("\n  ".join(lines))
@@ -280,6 +324,8 @@ class Supervisor:
         """
         orchestration = self._orchestration
         send(self._hub, orchestration.ask())
+        if orchestration.all_answered(but):  # nobody is there to answer
+            return
         deadline = time.monotonic() + _SETTLE_SECONDS
         while (left := deadline - time.monotonic()) > 0:
             try:
@@ -293,12 +339,13 @@ class Supervisor:
                     return
                 send(self._hub, orchestration.ask())
 
-    def _dismiss(self, seconds: float) -> None:
+    def _dismiss(self, seconds: float, why: str) -> None:
         """Send everybody home, and wait for them; the emulator, through which all may be connected, goes last."""
-        farewells = self._orchestration.end()
+        farewells = self._orchestration.end(why)
         for last in (False, True):
             for message in farewells:
                 if (message.receiver == EMULATOR) == last:
                     with suppress(PeerLost):
-                        self._hub.send(message.receiver, message.kind, message.tick)
+                        send(self._hub, [message])
             self._processes.await_all(seconds, () if last else (EMULATOR,))
+        self._processes.end()  # a connection to a process that is stopped would take its time to close
