@@ -21,11 +21,13 @@ class Failure:
         tick: the one from which the agents were advancing; `OPENING` or `INITIALISING` before.
         agent: index of the agent.
         error: as the agent raised it.
+        about: the process whose message could not be used, if that is what failed.
     """
 
     tick: int
     agent: int
     error: CosimError
+    about: str = ""
 
     @property
     def rank(self) -> tuple[int, int]:
@@ -34,7 +36,8 @@ class Failure:
 
     def encode(self) -> list[Part]:
         """As the body of a message."""
-        return encode_object({"tick": self.tick, "agent": self.agent, "error": _tree(self.error)})
+        tree = {"tick": self.tick, "agent": self.agent, "error": _tree(self.error), "about": self.about}
+        return encode_object(tree)
 
     @classmethod
     def decode(cls, envelope: Envelope) -> Failure:
@@ -45,7 +48,8 @@ class Failure:
         """
         tree: dict[str, Any] = decode_object(envelope)
         try:
-            return cls(int(tree["tick"]), int(tree["agent"]), _error(tree["error"], envelope.sender))
+            error = _error(tree["error"], envelope.sender)
+            return cls(int(tree["tick"]), int(tree["agent"]), error, str(tree["about"]))
         except (ValueError, KeyError, TypeError) as error:
             raise WireError(envelope.sender, f"a failure that cannot be read: {error!r}") from error
 

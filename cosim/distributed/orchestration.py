@@ -15,9 +15,9 @@ import numpy as np
 from cosim.distributed.assignment import EMULATOR, Job, Message, Share, batch_ticks, blocks, renamed, window_ticks
 from cosim.distributed.failure import Failure
 from cosim.distributed.replacement import History, Moment
-from cosim.distributed.standing import Standing
+from cosim.distributed.standing import Standing, carried
 from cosim.distributed.survey import Lost, Survey
-from cosim.errors import ClusterError
+from cosim.errors import ClusterError, CosimError
 from cosim.inline import Observer, Take
 from cosim.master import Finish, Master
 from cosim.plan import Plan
@@ -293,11 +293,18 @@ class Orchestration:
         if failure is None:
             return
         if failure.tick < 0:
-            raise failure.error
+            raise failure.error if self._granted < 0 else self._with_tick(failure)
         all_before = self._master.tick > failure.tick and not self._rows_done
         earlier = (carrier for carrier in self._carriers.values() if carrier.agents[0] < failure.agent)
         if all_before and all(carrier.failure or carrier.rows for carrier in earlier):
             raise failure.error
+
+    def _with_tick(self, failure: Failure) -> CosimError:
+        """The failure of a process, rather than of an agent, in the midst of a run."""
+        text = f"{failure.error}; tick {self.recorded} is the last one recorded"
+        if failure.about in self._carriers:
+            text = f"{text}\n  {carried(self._plan, failure.about, self.workers)} sent it"
+        return ClusterError(text)
 
     def _grant(self) -> list[Message]:
         """Let the emulator go on, and whoever is ready begin."""

@@ -127,7 +127,8 @@ def serve(endpoint: Endpoint, whereabouts: Ints | None = None, planned: Callable
             text = f"memory ran out{': ' if str(error) else ''}{error}"
         else:
             text = f"{type(error).__name__}: {error}\n{traceback.format_exc()}"
-        failure = Failure(OPENING, 0, ClusterError(text.rstrip()))
+        about = error.sender if isinstance(error, WireError) else ""
+        failure = Failure(OPENING, 0, ClusterError(text.rstrip()), about)
         endpoint.send(ORCHESTRATOR, Kind.FAILURE, 0, *failure.encode())
         _await_farewell(endpoint)
     finally:

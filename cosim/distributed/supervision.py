@@ -89,7 +89,9 @@ class Supervisor:
             farewell, why = _FAREWELL_SECONDS, ""
         except WireError as error:
             why = str(error)
-            raise ClusterError(f"{error}; tick {self._orchestration.recorded} is the last one recorded") from error
+            sent = carried(self._plan, error.sender, self._orchestration.workers)
+            text = f"{error}; tick {self._orchestration.recorded} is the last one recorded\n  {sent} sent it"
+            raise ClusterError(text) from error
         except CosimError as error:
             why = str(error).partition("\n")[0]
             raise

@@ -24,6 +24,7 @@ CHANNELS = {
     "window": "{model: window, depth: 4, delay: [150 ms, 250 ms]}",
 }
 Edges = Sequence[tuple[int, int]]
+Fault = tuple[str, float] | tuple[str, float, Mapping[str, int]]
 
 
 def scenario(
@@ -32,10 +33,10 @@ def scenario(
     channel: str = "lossy",
     seed: int = 1,
     ticks: int = 12,
-    faults: Mapping[int, tuple[str, float]] | None = None,
+    faults: Mapping[int, Fault] | None = None,
     on_worker_loss: str = "abort",
 ) -> str:
-    """Nodes from 1 to `n_agents`; `faults` gives some of them another class, and when its fault happens."""
+    """Nodes from 1 to `n_agents`; `faults` gives some of them another class, when its fault happens, and parameters."""
     faults = faults or {}
     lines = [
         "name: little",
@@ -64,10 +65,11 @@ def scenario(
     return "\n".join(lines) + "\n"
 
 
-def _fault(fault: tuple[str, float] | None) -> str:
+def _fault(fault: Fault | None) -> str:
     if fault is None:
         return ""
-    return f", components: {{node: {{python: 'tests.distributed.nodes:{fault[0]}', start: {{at: {fault[1]}}}}}}}"
+    more = "".join(f", {name}: {value}" for name, value in fault[2].items()) if len(fault) > 2 else ""
+    return f", components: {{node: {{python: 'tests.distributed.nodes:{fault[0]}', start: {{at: {fault[1]}{more}}}}}}}"
 
 
 def ring(n_agents: int) -> Edges:

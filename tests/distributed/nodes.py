@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import os
 import resource
 import signal
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from time import sleep
 from typing import Any
 
 from cosim.components.python import Input, Output, Parameter, PythonComponent, State, Structural
+from network.zenoh import ZenohEndpoint
 
 
 class Node(PythonComponent):
@@ -114,6 +117,42 @@ class OnceStopped(Once, Stopped):
 
 class OnceExiting(Once, Exiting):
     """Exits once."""
+
+
+HARMS = ("lost", "twice", "overtaken", "damaged", "cut off")
+
+
+class Harm:
+    """What happens on the wire to the second message to each receiver."""
+
+    def __init__(self, harm: str) -> None:
+        self._harm = harm
+        self._seen: Counter[str] = Counter()
+        self._held: dict[str, bytes] = {}
+
+    def __call__(self, _sender: str, receiver: str, frame: bytes) -> Sequence[bytes]:
+        self._seen[receiver] += 1
+        if receiver in self._held:
+            return [frame, self._held.pop(receiver)]
+        if self._seen[receiver] != 2:
+            return [frame]
+        if self._harm == "overtaken":
+            self._held[receiver] = frame
+        damaged = bytes([*frame[:-1], frame[-1] ^ 1])
+        return {"twice": [frame, frame], "damaged": [damaged], "cut off": [frame[:-1]]}.get(self._harm, [])
+
+
+class Tampering(Node):
+    """Lets what this process sends to others come to harm from then on."""
+
+    harm = Parameter(0, dtype="Int64", description="index in HARMS")
+    harmed = False
+
+    def fault(self, time: float) -> None:
+        if not self.harmed:
+            self.harmed = True
+            (endpoint,) = [thing for thing in gc.get_objects() if isinstance(thing, ZenohEndpoint)]
+            endpoint._tamper = Harm(HARMS[int(self.harm)])
 
 
 class Greedy(Node):

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from cosim.distributed.processes import Processes
 from network.messages import Fates, Floats
 from tests.distributed.networks import Record
 
@@ -50,17 +54,39 @@ def assert_nothing_left(folder: Path) -> None:
     assert [line for line in lines if b"_process" in line and str(folder).encode() in line] == []
 
 
-def child(name: str) -> int:
-    """The process of that name among those that this one started."""
+def child(name: str, of: int | None = None) -> int:
+    """The process of that name among those that this one, or another, started."""
+    above = os.getpid() if of is None else of
     for path in Path("/proc").glob("[0-9]*"):
         try:
             words = (path / "cmdline").read_bytes().split(b"\0")
             parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
         except OSError:
             continue
-        if parent == os.getpid() and b"_process" in words and name.encode() in words:
+        if parent == above and b"_process" in words and name.encode() in words:
             return int(path.name)
     raise LookupError(name)
+
+
+def ended(pid: int) -> bool:
+    """Whether a process is gone, or waits for its parent to take note."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+def harm_at_birth(monkeypatch: pytest.MonkeyPatch, name: str, number: signal.Signals) -> None:
+    """A process of the runs to come gets a signal as soon as it is started, the first one of that name."""
+    start, harmed = Processes.start, []
+
+    def harming(self: Processes, names: Iterable[str]) -> None:
+        start(self, names)
+        if not harmed:
+            harmed.append(name)
+            os.kill(child(name), number)
+
+    monkeypatch.setattr(Processes, "start", harming)
 
 
 class At:

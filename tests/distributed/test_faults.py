@@ -11,6 +11,7 @@ import signal
 import subprocess
 from collections.abc import Sequence
 from contextlib import suppress
+from fractions import Fraction
 from pathlib import Path
 
 import pytest
@@ -18,22 +19,29 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cosim.distributed import cluster
-from cosim.distributed.standing import waits
+from cosim.distributed.assignment import divide
+from cosim.distributed.standing import Standing, waits
 from cosim.distributed.survey import Lost
 from cosim.errors import ClusterError, RunError
+from cosim.pacing import Pacer
 from network.transport import Kind
 from tests.components.probe import FAILS
 from tests.distributed.loopback import Loopback
 from tests.distributed.networks import Record, in_process, planned, ring, scenario
+from tests.distributed.nodes import HARMS
 from tests.distributed.processes import (
     At,
+    assert_begins,
     assert_nothing_left,
     child,
     command,
     cosim,
+    ended,
     environment,
+    harm_at_birth,
     manifest,
 )
+from tests.distributed.started import started
 
 
 # --- messages that are lost -------------------------------------------------------------------------------------------
@@ -148,6 +156,110 @@ def test_emulator_that_is_stopped(scratch: Path) -> None:
     )
     assert len(lines) == 2
     assert_nothing_left(scratch)
+
+
+@pytest.mark.parametrize(
+    ("harm", "said"),
+    [
+        ("lost", r"message \d+ was lost or overtaken: \d+ came in its place"),
+        ("overtaken", r"message \d+ was lost or overtaken: \d+ came in its place"),
+        ("twice", r"message \d+ came again or too late, \d+ was next"),
+        ("damaged", "damaged or cut off: the checksum does not match"),
+        ("cut off", "damaged or cut off: .*"),
+    ],
+)
+def test_message_that_comes_to_harm_on_the_wire(harm: str, said: str, scratch: Path) -> None:
+    """Whoever notices, the emulator or the orchestrator: the sender is named, and all that was recorded is right."""
+    tick = random.Random(harm).randrange(10, 900)  # the same in every process that collects the tests
+    text = scenario(4, ring(4), "slack", ticks=1000, faults={3: ("Tampering", tick / 10, {"harm": HARMS.index(harm)})})
+    expected, _ = in_process(planned(scenario(4, ring(4), "slack", ticks=1000)))
+    record = Record()
+    with pytest.raises(ClusterError) as caught:
+        cluster.run(planned(text), 2, [record])
+    pattern = (
+        rf"(emulator failed: )?message from worker-2: {said}; tick (-?\d+) is the last one recorded\n"
+        r"  worker-2 \(agents 3, 4\) sent it"
+    )
+    found = re.fullmatch(pattern, str(caught.value))
+    assert found is not None, str(caught.value)
+    assert int(found[2]) == len(record.ticks) - 1
+    assert_begins(record, expected)
+    assert_nothing_left(scratch)
+
+
+def test_socket_that_is_gone_when_a_worker_is_to_be_replaced(scratch: Path) -> None:
+    plan = planned(scenario(4, ring(4), ticks=20_000, on_worker_loss="restart"))
+
+    def harm() -> None:
+        for socket in scratch.glob("cosim-*/hub"):
+            socket.unlink()
+        os.kill(child("worker-2"), signal.SIGKILL)
+
+    with pytest.raises(ClusterError) as caught:
+        cluster.run(plan, 2, [At(20, harm)])
+    lines = str(caught.value).splitlines()
+    assert lines[0].startswith("worker-2 (agents 3, 4) was killed by signal 9 ")
+    assert re.fullmatch(r"  worker-2 is not replaced: the socket of the run is gone: \S+/hub", lines[1])
+    assert_nothing_left(scratch)
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "said"),
+    [
+        ("worker-2", signal.SIGKILL, r"worker-2 \(agents 3, 4\) was killed by signal 9 .*"),
+        ("worker-2", signal.SIGSTOP, r"worker-2 \(agents 3, 4\) is stopped by signal 19 \(SIGSTOP\)"),
+        ("emulator", signal.SIGTERM, r"the emulator was killed by signal 15 \(SIGTERM\)|.* code 143 \(SIGTERM\)"),
+        ("emulator", signal.SIGSTOP, r"the emulator is stopped by signal 19 \(SIGSTOP\)"),
+    ],
+)
+def test_process_that_is_lost_before_it_has_joined(
+    name: str, number: signal.Signals, said: str, scratch: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    harm_at_birth(monkeypatch, name, number)
+    record = Record()
+    with pytest.raises(ClusterError) as caught:
+        cluster.run(planned(scenario(4, ring(4))), 2, [record])
+    first, *others = str(caught.value).splitlines()
+    assert re.fullmatch(rf"({said}) before the first tick", first)
+    assert all(line.endswith((" waits for all to be ready", " wait for all to be ready")) for line in others)
+    assert others
+    assert record == Record()
+    assert_nothing_left(scratch)
+
+
+def test_orchestrator_that_is_stopped_and_goes_on_is_told_so(tmp_path: Path) -> None:
+    """As by Ctrl-Z and fg: the others are gone by then, and are not the ones to blame."""
+    (tmp_path / "net.yaml").write_text(scenario(4, ring(4), "slack", ticks=1_000_000))
+    run = ("run", "net.yaml", "--distributed", "--workers", "2", "--out", "out", "--no-report")
+    with started(tmp_path, *run) as orchestrator:
+        orchestrator.hear("s simulated")
+        others = [child(name, orchestrator.process.pid) for name in ("emulator", "worker-1", "worker-2")]
+        orchestrator.signal(signal.SIGSTOP)
+        while not all(ended(pid) for pid in others):
+            os.sched_yield()
+        orchestrator.signal(signal.SIGCONT)
+        code, _, said = orchestrator.end()
+    assert code == 3
+    assert re.search(r"  the orchestrator itself did not listen for \S+ s before that", said), said
+
+
+def test_emulator_that_is_stopped_while_ticks_are_released(scratch: Path) -> None:
+    """What is sent to it must not fill its connection: who waits for room there notices nothing for long."""
+    plan = planned(scenario(3, ring(3), ticks=100_000))
+    record, pacer = Record(), Pacer(plan, Fraction(200))
+    with pytest.raises(ClusterError, match=r"^the emulator is stopped by signal 19 \(SIGSTOP\) at tick \d+ "):
+        cluster.run(plan, 1, [record, At(20, lambda: os.kill(child("emulator"), signal.SIGSTOP))], pacer=pacer)
+    assert_nothing_left(scratch)
+
+
+def test_who_waits_for_the_clock_waits_for_nobody_else() -> None:
+    plan = planned(scenario(4, ring(4)))
+    workers = divide(4, 2)
+    at = Standing(True, 5, 5, {"worker-1": 5, "worker-2": 4}, {"worker-1": 5, "worker-2": 5}, frozenset())
+    assert waits(plan, workers, at, ["worker-2"], cut_off=False) == [
+        "the emulator waits for the orchestrator to release tick 6",
+        "worker-1 (agents 1, 2) waits for the mail of tick 5 from the emulator",
+    ]
 
 
 def test_memory_that_runs_out(tmp_path: Path) -> None:

@@ -16,7 +16,15 @@ from cosim.distributed import cluster
 from cosim.errors import ClusterError
 from network.messages import Fates, Floats
 from tests.distributed.networks import Record, in_process, planned, ring, scenario
-from tests.distributed.processes import At, assert_begins, assert_nothing_left, child, cosim, manifest
+from tests.distributed.processes import (
+    At,
+    assert_begins,
+    assert_nothing_left,
+    child,
+    cosim,
+    harm_at_birth,
+    manifest,
+)
 
 SEEDS = int(os.environ.get("COSIM_FAULT_SEEDS", "4"))
 """How many moments chance picks; the sweep before a release takes 500."""
@@ -95,6 +103,18 @@ def test_workers_killed_at_random_moments(seed: int, scratch: Path, undisturbed:
     cluster.run(planned(lossy()), 3, [record, assassin], assassin, tell=told)
     assert record == undisturbed
     assert told.restarts
+    assert_nothing_left(scratch)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_worker_lost_before_it_has_joined(
+    number: signal.Signals, scratch: Path, undisturbed: Record, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    harm_at_birth(monkeypatch, "worker-2", number)
+    record, told = Record(), Told()
+    cluster.run(planned(lossy()), 3, [record], tell=told)
+    assert record == undisturbed
+    assert [entry["replaced_by"] for entry in told.restarts] == ["worker-2.2"]
     assert_nothing_left(scratch)
 
 
