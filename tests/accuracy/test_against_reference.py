@@ -117,6 +117,46 @@ def test_every_option_of_the_law_and_every_kind_of_delay(tmp_path: Path) -> None
     assert np.abs(exact.p).max() > 1.0
 
 
+def test_every_option_of_the_law_on_axes(tmp_path: Path) -> None:
+    """The same scheme on springs, pendulums and pucks, one of them mapped and one in FMI 2.0."""
+    run = completed(str(Path(__file__).with_name("axes.yaml")), tmp_path / "run")
+    exact = run.solve()
+    bounds = {"plant.p": 1e-8, "plant.v": 1e-7, "controller.u": 1e-6}
+    states = ("v_hat", "v_bar", "v_bar_dot", "eta", "psi", "v_r", "e")
+    assert_close(run, exact, bounds | {f"controller.{name}": 1e-7 for name in states})
+    estimates = run.recorded("controller.theta_hat", 2, 5)
+    np.testing.assert_allclose(estimates, exact.axes_theta_hat, rtol=0, atol=1e-7)
+
+
+def test_mixed_plants_in_one_network(tmp_path: Path) -> None:
+    """Arms, carts behind a mapping with gains, pendulums and a puck; 4e-8 rad was measured."""
+    run = completed("mixed_plants", tmp_path / "run", until="15 s")
+    exact = run.solve()
+    assert_close(run, exact, {"plant.p": 1e-6, "plant.v": 1e-5, "controller.u": 1e-4, "controller.v_hat": 1e-14})
+    arms, others = slice(0, 2), slice(2, None)
+    arm_estimates = run.recorded("controller.theta_hat", 5)[:, arms]
+    np.testing.assert_allclose(arm_estimates, exact.theta_hat[:, arms], rtol=0, atol=1e-5)
+    estimates = run.recorded("controller.theta_hat", 2, 5)[:, others]
+    np.testing.assert_allclose(estimates, exact.axes_theta_hat[:, others], rtol=0, atol=1e-5)
+    assert np.abs(exact.axes_theta_hat[-1, others]).max() > 0.1
+
+
+def test_mixed_plants_agree(tmp_path: Path) -> None:
+    run = completed("mixed_plants", tmp_path / "run")
+    p, v = run.recorded("plant.p"), run.recorded("plant.v")
+    assert np.abs(v[-1] - [0.3, 0.6]).max() < 5e-3
+    assert np.abs(p[-1] - p[-1, :1]).max() < 2e-2
+    assert np.abs(p[100] - p[100, :1]).max() > 1.0
+
+
+def test_consensus_comes_to_rest_where_the_cart_is(tmp_path: Path) -> None:
+    run = completed("consensus", tmp_path / "run")
+    p, v = run.recorded("plant.p"), run.recorded("plant.v")
+    np.testing.assert_allclose(p[-1, 0], [3.0, -4 / 5], atol=1e-3)  # the second spring, 1 N/m, beside k_p = 4
+    assert np.abs(p[-1] - p[-1, :1]).max() < 1e-3
+    assert np.abs(v[-1]).max() < 1e-3
+
+
 def test_arrivals_between_ticks_matter(leaders: Case) -> None:
     """Were deliveries to take effect at the next tick only, the error would be 10^5 times the bound: 0.09 rad."""
     run, _ = leaders

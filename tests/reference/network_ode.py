@@ -1,10 +1,11 @@
-"""The exact solution of the paper's network, independent of the product: one ordinary differential equation per agent.
+"""The exact solution of a network under the paper's scheme, independent of the product: one equation per agent.
 
 Given the agents, the graph and a log of what the network delivered and when, `solve` computes every agent's state at
 every tick. Agents influence each other only through samples taken at ticks, so the network is solved tick by tick, each
 agent alone over [kT, (k+1)T], broken exactly at its arrivals, between which its right-hand side is smooth. The
 equations are those of the paper with the errata of `docs/errata.md`; equation labels below are those of its TeX source.
-Nothing here is shared with `cosim`, `network` or `fmus`.
+Agents are arms, as in the paper, or decoupled axes (`tests.reference.axes`) with the regressor of those; all have two
+coordinates. Nothing here is shared with `cosim`, `network` or `fmus`.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.reference import axes
 from tests.reference.arm import Arm, regressor
+from tests.reference.axes import Axes
 from tests.reference.integrators import Integrator, SolverError, dop853
 
 Floats = NDArray[np.float64]
@@ -62,6 +65,7 @@ class Agent:
     """One arm, its controller, whom it hears, and where it starts.
 
     Attributes:
+        axes: two decoupled axes in the place of the arm; of `law`, `Pi` then holds for each axis, and `g` for none.
         neighbours: indices of the agents that it hears.
         weights: a_ij of each of them.
         v_d: desired velocity rad/s, used by leaders and where the velocity is known.
@@ -75,6 +79,7 @@ class Agent:
     role: Role = Role.FOLLOWER
     extrapolation: Extrapolation = Extrapolation.RECEIVED_ESTIMATE
     arm: Arm = field(default_factory=Arm)
+    axes: Axes | None = None
     law: Law = field(default_factory=Law)
     v_d: Pair = (0.3, 0.6)
     p: Pair = (0.0, 0.0)
@@ -84,7 +89,11 @@ class Agent:
     v_bar_dot: Pair = (0.0, 0.0)
     eta: Pair = (0.0, 0.0)
     psi: Pair | None = None
-    theta_hat: tuple[float, ...] = (0.0,) * 5
+    theta_hat: tuple[float, ...] = ()  # zeros, if empty
+
+    @property
+    def n_parameters(self) -> int:
+        return 5 if self.axes is None else 10
 
 
 @dataclass(frozen=True)
@@ -101,7 +110,8 @@ class Log:
 class Solution:
     """States at ticks 0..K of n agents: `time` s has shape (K+1,), the rest (K+1, n, 2) or, `theta_hat`, (K+1, n, 5).
 
-    `psi` is NaN for an agent that hears nobody: the paper defines none for it. `states` holds the raw state vectors.
+    `psi` is NaN for an agent that hears nobody: the paper defines none for it. `states` holds the raw state vectors,
+    with NaN behind the shorter ones. `theta_hat` is that of arms; `axes_theta_hat`, (K+1, n, 10), that of the others.
     """
 
     time: Floats
@@ -139,6 +149,10 @@ class Solution:
     def theta_hat(self) -> Floats:
         return self.states[:, :, 12:17]
 
+    @property
+    def axes_theta_hat(self) -> Floats:
+        return self.states[:, :, 12:22]
+
 
 class DivergedError(ArithmeticError):
     """The solution escaped: when, s, which agent, and the largest magnitude of a component of its state there."""
@@ -168,23 +182,21 @@ Right = Callable[[float, Floats], Sequence[float]]
 def right_hand_side(agent: Agent) -> Callable[[Drive, Pair], Right]:
     """A factory of right-hand sides of one agent, given the drive and the estimate v_hat in force on a segment.
 
-    State, 19 numbers: p(2), v(2), v_bar(2), v_bar'(2), eta(2), psi(2), theta_hat(5), J(2). Scalar floats throughout:
-    this is called millions of times.
+    State, 19 or 24 numbers: p(2), v(2), v_bar(2), v_bar'(2), eta(2), psi(2), theta_hat(5 or 10), J(2). Scalar floats
+    throughout: this is called millions of times.
     """
-    t1, t2, t3, t4, t5 = agent.arm.theta.tolist()
-    plant_g, law = agent.arm.g, agent.law
-    k_p, k_d, k_e, sign, g = law.k_p, law.k_d, law.k_e, law.sign, law.g
-    pi1, pi2, pi3, pi4, pi5 = law.Pi
+    law = agent.law
+    k_p, k_d = law.k_p, law.k_d
+    move_and_adapt = _arm(agent) if agent.axes is None else _decoupled(agent.axes, law)
     linked = bool(agent.neighbours)  # `eta_zeros`: without in-neighbours eta stays 0
     lam, k_eta, track = (law.lambda_, law.k_eta, 1.0) if linked else (0.0, 0.0, 0.0)
-    cos, sin = math.cos, math.sin
 
     def on_segment(drive: Drive, v_hat: Pair) -> Right:
         (a1, a2), (b1, b2), w = drive.constant, drive.slope, drive.follow
         h1, h2 = v_hat
 
         def rhs(s: float, y: Floats) -> Sequence[float]:
-            p1, p2, v1, v2, f1, f2, fd1, fd2, n1, n2, q1, q2, o1, o2, o3, o4, o5, j1, j2 = y.tolist()
+            p1, p2, v1, v2, f1, f2, fd1, fd2, n1, n2, q1, q2, *theta_hat, j1, j2 = y.tolist()
             # synchronization term, `filter`
             nd1 = -k_eta * n1 - lam * (p1 - q1)
             nd2 = -k_eta * n2 - lam * (p2 - q2)
@@ -195,47 +207,95 @@ def right_hand_side(agent: Agent) -> Callable[[Drive, Pair], Right]:
             fdd2 = -k_d * fd2 - k_p * (f2 - h2)
             # reference velocity and error, `v_reference`
             r1, r2, rd1, rd2 = n1 + f1, n2 + f2, nd1 + fd1, nd2 + fd2
-            e1, e2 = v1 - r1, v2 - r2
-            # control, `control_EL`, and adaptation, `adapt_EL`
-            c, si = cos(p2), sin(p2)
-            cos_p1, cos_p12 = cos(p1), cos(p1 + p2)
-            y12 = c * (2.0 * rd1 + rd2) - si * (r1 * v2 + r2 * (v1 + v2))
-            y22 = rd1 * c + r1 * v1 * si
-            y23 = rd1 + rd2
-            y14, y15 = g * cos_p12, g * cos_p1
-            u1 = rd1 * o1 + y12 * o2 + rd2 * o3 + y14 * o4 + y15 * o5 - k_e * e1
-            u2 = y22 * o2 + y23 * o3 + y14 * o4 - k_e * e2
-            # arm, `model_case1`
-            m11, m12 = t1 + 2.0 * t2 * c, t3 + t2 * c
-            g2 = plant_g * t4 * cos_p12
-            b_1 = u1 + t2 * si * v2 * v1 + t2 * si * (v1 + v2) * v2 - plant_g * t5 * cos_p1 - g2
-            b_2 = u2 - t2 * si * v1 * v1 - g2
-            det = m11 * t3 - m12 * m12
-            return (
-                v1,
-                v2,
-                (t3 * b_1 - m12 * b_2) / det,
-                (m11 * b_2 - m12 * b_1) / det,
-                fd1,
-                fd2,
-                fdd1,
-                fdd2,
-                nd1,
-                nd2,
-                qd1,
-                qd2,
-                sign * pi1 * (rd1 * e1),
-                sign * pi2 * (y12 * e1 + y22 * e2),
-                sign * pi3 * (rd2 * e1 + y23 * e2),
-                sign * pi4 * (y14 * (e1 + e2)),
-                sign * pi5 * (y15 * e1),
-                f1,
-                f2,
-            )
+            acceleration1, acceleration2, *rates = move_and_adapt(p1, p2, v1, v2, r1, r2, rd1, rd2, theta_hat)
+            return (v1, v2, acceleration1, acceleration2, fd1, fd2, fdd1, fdd2, nd1, nd2, qd1, qd2, *rates, f1, f2)
 
         return rhs
 
     return on_segment
+
+
+MoveAndAdapt = Callable[[float, float, float, float, float, float, float, float, Sequence[float]], Sequence[float]]
+"""Plant and control law: from p, v, v_r, v_r' (two each) and the estimates to v' (two) and the estimates' rates."""
+
+
+def _arm(agent: Agent) -> MoveAndAdapt:
+    t1, t2, t3, t4, t5 = agent.arm.theta.tolist()
+    plant_g, law = agent.arm.g, agent.law
+    k_e, sign, g = law.k_e, law.sign, law.g
+    pi1, pi2, pi3, pi4, pi5 = law.Pi
+    cos, sin = math.cos, math.sin
+
+    def move_and_adapt(
+        p1: float,
+        p2: float,
+        v1: float,
+        v2: float,
+        r1: float,
+        r2: float,
+        rd1: float,
+        rd2: float,
+        theta_hat: Sequence[float],
+    ) -> Sequence[float]:
+        o1, o2, o3, o4, o5 = theta_hat
+        e1, e2 = v1 - r1, v2 - r2
+        # control, `control_EL`, and adaptation, `adapt_EL`
+        c, si = cos(p2), sin(p2)
+        cos_p1, cos_p12 = cos(p1), cos(p1 + p2)
+        y12 = c * (2.0 * rd1 + rd2) - si * (r1 * v2 + r2 * (v1 + v2))
+        y22 = rd1 * c + r1 * v1 * si
+        y23 = rd1 + rd2
+        y14, y15 = g * cos_p12, g * cos_p1
+        u1 = rd1 * o1 + y12 * o2 + rd2 * o3 + y14 * o4 + y15 * o5 - k_e * e1
+        u2 = y22 * o2 + y23 * o3 + y14 * o4 - k_e * e2
+        # arm, `model_case1`
+        m11, m12 = t1 + 2.0 * t2 * c, t3 + t2 * c
+        g2 = plant_g * t4 * cos_p12
+        b_1 = u1 + t2 * si * v2 * v1 + t2 * si * (v1 + v2) * v2 - plant_g * t5 * cos_p1 - g2
+        b_2 = u2 - t2 * si * v1 * v1 - g2
+        det = m11 * t3 - m12 * m12
+        return (
+            (t3 * b_1 - m12 * b_2) / det,
+            (m11 * b_2 - m12 * b_1) / det,
+            sign * pi1 * (rd1 * e1),
+            sign * pi2 * (y12 * e1 + y22 * e2),
+            sign * pi3 * (rd2 * e1 + y23 * e2),
+            sign * pi4 * (y14 * (e1 + e2)),
+            sign * pi5 * (y15 * e1),
+        )
+
+    return move_and_adapt
+
+
+def _decoupled(plant: Axes, law: Law) -> MoveAndAdapt:
+    parameters = plant.theta.reshape(2, axes.PARAMETERS).tolist()
+
+    def of_one_axis(
+        axis: int, p: float, v: float, r: float, rd: float, theta_hat: Sequence[float]
+    ) -> tuple[float, list[float]]:
+        m, d, k, b, gravity = parameters[axis]
+        e, s = v - r, math.sin(p)
+        row = (rd, r, p, 1.0, s)
+        u = sum(y * o for y, o in zip(row, theta_hat, strict=True)) - law.k_e * e
+        rates = [law.sign * pi * y * e for pi, y in zip(law.Pi, row, strict=True)]
+        return (u - d * v - k * p - b - gravity * s) / m, rates
+
+    def move_and_adapt(
+        p1: float,
+        p2: float,
+        v1: float,
+        v2: float,
+        r1: float,
+        r2: float,
+        rd1: float,
+        rd2: float,
+        theta_hat: Sequence[float],
+    ) -> Sequence[float]:
+        a1, first = of_one_axis(0, p1, v1, r1, rd1, theta_hat[: axes.PARAMETERS])
+        a2, second = of_one_axis(1, p2, v2, r2, rd2, theta_hat[axes.PARAMETERS :])
+        return (a1, a2, *first, *second)
+
+    return move_and_adapt
 
 
 class _Node:
@@ -292,7 +352,8 @@ class _Node:
                 slope += weight * self.v_hat[tick]
                 continue
             else:
-                constant -= weight * states[k, me, 17:19]
+                behind = 12 + agent.n_parameters
+                constant -= weight * states[k, me, behind : behind + 2]
                 follow += weight
                 continue
             constant += weight * velocity * age
@@ -301,14 +362,15 @@ class _Node:
 
 
 def initial_state(agent: Agent) -> Floats:
-    """The state at t = 0, shape (19,)."""
+    """The state at t = 0, shape (19,) or (24,)."""
     follower = agent.role is Role.FOLLOWER
     v_hat = agent.v_hat if follower else agent.v_d
     v_bar = agent.v_bar if follower and agent.v_bar is not None else v_hat
     v_bar_dot = agent.v_bar_dot if follower else (0.0, 0.0)
     eta = agent.eta if agent.neighbours else (0.0, 0.0)
     psi = agent.p if agent.psi is None else agent.psi
-    return np.array([*agent.p, *agent.v, *v_bar, *v_bar_dot, *eta, *psi, *agent.theta_hat, 0.0, 0.0], dtype=float)
+    theta_hat = agent.theta_hat or (0.0,) * agent.n_parameters
+    return np.array([*agent.p, *agent.v, *v_bar, *v_bar_dot, *eta, *psi, *theta_hat, 0.0, 0.0], dtype=float)
 
 
 def solve(
@@ -334,8 +396,8 @@ def solve(
     """
     integrate = integrate or dop853()
     nodes = [_Node(agent, period_ns, ticks) for agent in agents]
-    states = np.empty((ticks + 1, len(agents), 19))
-    states[0] = [node.state for node in nodes]
+    states = np.full((ticks + 1, len(agents), max(len(node.state) for node in nodes)), np.nan)
+    _put(states[0], nodes)
     arrivals = _by_receiver_and_tick(log, len(agents), period_ns, ticks)
     for tick in range(ticks + 1):
         start_ns = tick * period_ns
@@ -351,8 +413,13 @@ def solve(
             size = float(np.abs(node.state).max())
             if size > bound:
                 raise DivergedError((tick + 1) * period_ns / 1e9, me, size)
-        states[tick + 1] = [node.state for node in nodes]
+        _put(states[tick + 1], nodes)
     return _solution(agents, period_ns, states, np.stack([node.v_hat for node in nodes], axis=1))
+
+
+def _put(row: Floats, nodes: Sequence[_Node]) -> None:
+    for i, node in enumerate(nodes):
+        row[i, : len(node.state)] = node.state
 
 
 def _advance(
@@ -405,8 +472,9 @@ def _solution(agents: Sequence[Agent], period_ns: int, states: Floats, v_hat: Fl
         law = agent.law
         for k, state in enumerate(states[:, i]):
             eta_dot = -law.k_eta * eta[k, i] - law.lambda_ * (state[0:2] - state[10:12]) if agent.neighbours else 0.0
-            Y = regressor(state[0:2], state[2:4], v_r[k, i], eta_dot + v_bar_dot[k, i], law.g)
-            u[k, i] = Y @ state[12:17] - law.k_e * e[k, i]
+            motion = state[0:2], state[2:4], v_r[k, i], eta_dot + v_bar_dot[k, i]
+            Y = regressor(*motion, law.g) if agent.axes is None else axes.regressor(*motion)
+            u[k, i] = Y @ state[12 : 12 + agent.n_parameters] - law.k_e * e[k, i]
         if not agent.neighbours:
             states[:, i, 10:12] = np.nan
     return Solution(np.arange(len(states)) * period_ns / 1e9, states, v_hat, u, e, v_r)

@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 import yaml
 
 from tests.reference.arm import Arm, Floats
+from tests.reference.axes import Axes
 from tests.reference.integrators import Integrator
 from tests.reference.network_ode import Agent, Extrapolation, Ints, Law, Log, Role, Solution, solve
 
@@ -26,13 +27,13 @@ EXTRAPOLATIONS = dict(
 )
 GAINS = {"k_p": "k_p", "k_d": "k_d", "k_e": "k_e", "lambda": "lambda_", "k_eta": "k_eta", "g": "g"}
 INITIAL = {"v_d": "v_d", "v_hat_start": "v_hat", "eta_start": "eta", "theta_hat_start": "theta_hat"}
-NO_EQUATION = {"solver_step", "T"}
-"""Start values that no equation of the exact solution has: a step size, and the period, known from the scenario."""
+NO_EQUATION = {"solver_step", "T", "n_axes"}
+"""Start values that no equation of the exact solution has: a step size, the period, known from the scenario, and 2."""
 
 
 @dataclass(frozen=True)
 class RunFolder:
-    """A finished run of arms with the shipped controller, components named `plant` and `controller`."""
+    """A finished run of the shipped plants with the shipped controllers, components named `plant` and `controller`."""
 
     folder: Path
 
@@ -75,15 +76,16 @@ class RunFolder:
         """The last recorded tick."""
         return int(pq.read_metadata(self.folder / "trajectories.parquet").num_rows) // len(self.names) - 1
 
-    def recorded(self, variable: str, size: int = 2) -> Floats:
-        """A recorded variable such as `plant.p`, shape (ticks + 1, n, size)."""
-        columns = [f"{variable}[{i + 1}]" for i in range(size)]
+    def recorded(self, variable: str, *shape: int) -> Floats:
+        """A recorded variable such as `plant.p`, (ticks + 1, n, size): flattened; of two numbers by default."""
+        indices = list(np.ndindex(*(shape or (2,))))
+        columns = [f"{variable}[{','.join(str(i + 1) for i in index)}]" for index in indices]
         table = pq.read_table(self.folder / "trajectories.parquet", columns=["tick", "agent", *columns])
         ticks, agents = table["tick"].to_pylist(), table["agent"].to_pylist()
         if agents != self.names * (self.ticks + 1) or ticks != sorted(ticks):
             raise ValueError(f"{self.folder}: rows are not one per tick and agent in the order of the file")
         values = np.stack([table[column].to_numpy() for column in columns], axis=1)
-        return values.reshape(self.ticks + 1, len(self.names), size)
+        return values.reshape(self.ticks + 1, len(self.names), len(columns))
 
     def solve(self, ticks: int | None = None, integrate: Integrator | None = None) -> Solution:
         """The exact solution of this run, driven by its own deliveries.
@@ -117,7 +119,13 @@ class RunFolder:
         plant = dict(tree["components"]["plant"].get("start", {}))
         start = dict(tree["components"]["controller"].get("start", {}))
         p, v = _pair(plant.pop("p", 0.0)), _pair(plant.pop("v", 0.0))
-        arm = Arm(**{key: float(value) for key, value in plant.items() if key not in NO_EQUATION})
+        plant = {key: value for key, value in plant.items() if key not in NO_EQUATION}
+        model = tree["components"]["plant"]["fmu"].partition(".")[0]
+        arm, axes = Arm(), None
+        if model == "TwoLinkArm":
+            arm = Arm(**{key: float(value) for key, value in plant.items()})
+        else:
+            axes = _axes(model, plant, _gains(tree["components"]["plant"]))
 
         gains: dict[str, Any] = {field: float(start.pop(key)) for key, field in GAINS.items() if key in start}
         if "Pi" in start:
@@ -125,7 +133,7 @@ class RunFolder:
         law = Law(**gains, sign=float(start.pop("adaptation_sign", -1.0)))
 
         initial: dict[str, Any] = {
-            field: _vector(start.pop(key), 5 if field == "theta_hat" else 2)
+            field: _vector(start.pop(key), (5 if axes is None else 10) if field == "theta_hat" else 2)
             for key, field in INITIAL.items()
             if key in start
         }
@@ -138,7 +146,39 @@ class RunFolder:
         extrapolation = EXTRAPOLATIONS[start.pop("extrapolation", "received_estimate")]
         if unknown := set(start) - NO_EQUATION:
             raise ValueError(f"agent {name}: the reference has no equation for {', '.join(sorted(unknown))}")
-        return Agent(neighbours, weights, role, extrapolation, arm, law, p=p, v=v, **initial)
+        return Agent(neighbours, weights, role, extrapolation, arm, axes, law, p=p, v=v, **initial)
+
+
+def _axes(model: str, start: Mapping[str, Any], gains: tuple[float, float]) -> Axes:
+    """A plant of decoupled axes as the rest of its agent sees it.
+
+    Args:
+        model: `MassSpringDamper`, `Pendulum` or `DoubleIntegrator`.
+        start: its parameters.
+        gains: of its positions, and of its drive, where the scenario maps them.
+    """
+    g = float(start.get("g", 9.81))
+    given = {name: np.array(_pair(value)) for name, value in start.items() if name not in ("n_axes", "g")}
+    zero, one = np.zeros(2), np.ones(2)
+    if model == "MassSpringDamper":
+        m, d, k, b = (given.get(name, start * one) for name, start in (("m", 1.0), ("d", 0.5), ("k", 1.0), ("b", 0.0)))
+        gravity = zero
+    elif model == "Pendulum":
+        mass, length, d = (given.get(name, start * one) for name, start in (("m", 1.0), ("l", 0.5), ("d", 0.1)))
+        m, k, b, gravity = mass * length**2, zero, zero, mass * g * length
+    elif model == "DoubleIntegrator":
+        m, d, k, b, gravity = one, zero, zero, zero, zero
+    else:
+        raise ValueError(f"the reference has no equation for {model}")
+    seen, driven = gains
+    scale = seen * driven
+    return Axes(*(tuple(map(float, x)) for x in (m / scale, d / scale, k / scale, b / driven, gravity / scale)))
+
+
+def _gains(component: Mapping[str, Any]) -> tuple[float, float]:
+    """What a component's positions, and what its inputs, are multiplied by on their way."""
+    position, drive = component.get("outputs", {}).get("p", {}), component.get("inputs", {}).get("u", {})
+    return tuple(float(one.get("gain", 1.0)) if isinstance(one, Mapping) else 1.0 for one in (position, drive))  # type: ignore[return-value]
 
 
 def _merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

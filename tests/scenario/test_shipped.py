@@ -19,7 +19,7 @@ VALIDATOR = jsonschema.Draft202012Validator(json_schema())
 
 
 def test_they_are_all_there() -> None:
-    assert set(configs.names()) >= {*PAPER, "channel_sine", "mixed_network"}
+    assert set(configs.names()) >= {*PAPER, "channel_sine", "mixed_network", "mixed_plants", "consensus"}
 
 
 @pytest.mark.parametrize("name", configs.names())

@@ -20,7 +20,7 @@ def relative_positions(scene: Scene) -> tuple[Figure, str]:
     position = scene.several("position")
     first = scene.agents[position.agents[0]]
     text = f"Positions of the other agents relative to agent {first}."
-    return _relative(scene, position, "p"), text + _reading(position)
+    return _relative(scene, position, "p"), text + _reading(scene, position)
 
 
 def relative_velocities(scene: Scene) -> tuple[Figure, str]:
@@ -29,7 +29,7 @@ def relative_velocities(scene: Scene) -> tuple[Figure, str]:
     first = scene.agents[velocity.agents[0]]
     text = f"Velocities of the other agents relative to agent {first}"
     text += "." if scene.reference_velocity is None else "; dashed: the desired velocity relative to it."
-    return _relative(scene, velocity, "v", scene.reference_velocity), text + _reading(velocity)
+    return _relative(scene, velocity, "v", scene.reference_velocity), text + _reading(scene, velocity)
 
 
 def velocity_estimates(scene: Scene) -> tuple[Figure, str]:
@@ -48,7 +48,7 @@ def velocity_estimates(scene: Scene) -> tuple[Figure, str]:
     _finish(scene, figure, axes, handles, labels)
     text = "Every agent's estimate of the common velocity"
     text += "." if reference is None else "; dashed: the desired velocity."
-    return figure, text + _reading(estimate)
+    return figure, text + _reading(scene, estimate)
 
 
 def parameter_estimates(scene: Scene) -> tuple[Figure, str]:
@@ -61,10 +61,10 @@ def parameter_estimates(scene: Scene) -> tuple[Figure, str]:
     for k, ax in enumerate(axes):
         handles = style.spread(ax, scene.time, parameters.values[:, :, k], colours)
         ax.set_ylabel(rf"$[\hat{{\theta}}_i]_{k + 1}${parameters.unit_text}")
-        ax.locator_params(axis="y", nbins=4)
+        ax.locator_params(axis="y", nbins=4, steps=[1, 2, 5, 10])  # never 2.5: its labels are a digit wider
     _finish(scene, figure, axes, handles, labels)
     text = "Every agent's estimates of its physical parameters; they need not converge to the true values."
-    return figure, text + _reading(parameters)
+    return figure, text + _reading(scene, parameters)
 
 
 def _relative(scene: Scene, signal: Signal, letter: str, reference: Floats | None = None) -> Figure:
@@ -107,8 +107,8 @@ def _finish(scene: Scene, figure: Figure, axes: Sequence[Axes], handles: Sequenc
     style.legend(figure, handles[len(handles) - len(labels.texts) :], labels.texts, labels.title)
 
 
-def _reading(signal: Signal) -> str:
-    """How the panels are to be read."""
+def _reading(scene: Scene, signal: Signal) -> str:
+    """How the panels are to be read, and whom they do not show."""
     n_agents, size = signal.values.shape[1:]
     text = ""
     if n_agents > style.MANY:
@@ -117,4 +117,6 @@ def _reading(signal: Signal) -> str:
         text += " One line per agent, dark to light in the order of the file."
     if size > MAX_AXES:
         text += f" The first {MAX_AXES} of {size} elements."
+    if n_agents < len(scene.agents):
+        text += f" {n_agents} of {len(scene.agents)} agents: the others record no {signal.name} of this shape."
     return text
