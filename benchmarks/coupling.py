@@ -1,8 +1,9 @@
-"""Micro steps per second of the native loop, of a loop written by hand in C, and of the loop in Python through FMPy.
+"""Micro steps per second of the native loop, of one written by hand in C, of the loop in Python through FMPy, and of
+that loop with the plant in a process of its own.
 
     python -m benchmarks.coupling [--repetitions 15] [--json]
 
-All three advance one arm with its controller (FMI 3.0) and make the same FMI calls; before they are timed, their
+All advance one arm with its controller (FMI 3.0) and make the same FMI calls; before they are timed, their
 results are compared bit by bit. Medians of interleaved repetitions; ratios are medians of the repetitions' ratios.
 """
 
@@ -23,12 +24,12 @@ import numpy as np
 import fmus
 from cosim.components.component import Component, Floats
 from cosim.components.fmu import FmuComponent
-from cosim.components.opening import describe, open_components
+from cosim.components.opening import await_open, describe, open_components
 from cosim.coupling import PythonLoop
 from cosim.kernel import Member, NativeBlock
 from cosim.mailbox import Updates
 from cosim.memory import LoopMemory
-from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, MailboxPlan, Method, Port
+from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, Isolation, MailboxPlan, Method, Port
 from cosim.wiring import wire
 from fmus.build import ROOT, compile_shared, library_suffix
 from network.messages import Mail, MessageLayout
@@ -39,7 +40,7 @@ COUPLINGS = {
     "joint, Runge-Kutta 4, 5 ms": CouplingPlan(Method.JOINT, 5_000_000),
     "Co-Simulation (gauss-seidel), 1 ms": CouplingPlan(Method.GAUSS_SEIDEL, 1_000_000),
 }
-TICKS = {"bare C": 200, "native loop": 200, "Python loop": 2}
+TICKS = {"bare C": 200, "native loop": 200, "Python loop": 2, "plant isolated": 2}
 CALLS = (
     *("SetTime", "SetContinuousStates", "GetContinuousStates", "GetContinuousStateDerivatives"),
     *("CompletedIntegratorStep", "EnterEventMode", "UpdateDiscreteStates", "EnterContinuousTimeMode"),
@@ -68,14 +69,14 @@ class Pair(ctypes.Structure):
     )
 
 
-def plan(coupling: CouplingPlan) -> AgentPlan:
-    """An agent that hears nobody and is heard by nobody."""
+def plan(coupling: CouplingPlan, isolation: Isolation | None = None) -> AgentPlan:
+    """An agent that hears nobody and is heard by nobody; its plant in a process of its own, if so wished."""
 
     def component(name: str, model: str, structural: dict[str, int]) -> ComponentPlan:
         path = fmus.path(model)
         description = describe(path, None, structural)
         start = {"p": (0.5, -0.8)} if name == "plant" else {name: (n,) for name, n in structural.items()}
-        return ComponentPlan(name, path, None, description, start)
+        return ComponentPlan(name, path, None, description, start, isolation if name == "plant" else None)
 
     components = (
         component("plant", "TwoLinkArm", {}),
@@ -103,13 +104,14 @@ def plan(coupling: CouplingPlan) -> AgentPlan:
 
 
 class Contestant:
-    """One agent and one of the three loops."""
+    """One agent and one of the loops."""
 
     def __init__(self, name: str, coupling: CouplingPlan, library: ctypes.CDLL) -> None:
-        agent = plan(coupling)
+        agent = plan(coupling, Isolation(10_000_000_000) if name == "plant isolated" else None)
         layout = MessageLayout((), ())
         wiring = wire(agent, layout)
         self.components: list[Component] = open_components(agent)
+        await_open(agent, self.components)
         memory = LoopMemory([(wiring.n_signals, 2)])
         python = PythonLoop(wiring, self.components, coupling, memory.state(0))
         python.initialise(0, 10**6 * PERIOD_NS)
@@ -227,8 +229,8 @@ def main() -> None:
         print(json.dumps(rows, indent=2))
         return
     print(f"micro steps per second, median of {arguments.repetitions}; ratios of times")
-    print("| coupling | bare C | native loop | Python loop | native / bare | Python / native |")
-    print("|---|---|---|---|---|---|")
+    print(f"| coupling | {' | '.join(TICKS)} | native / bare | Python / native |")
+    print("|---|---|---|---|---|---|---|")
     for row in rows:
         speeds = " | ".join(f"{row[name]:,.0f}" for name in TICKS)
         print(f"| {row['coupling']} | {speeds} | {row['native / bare']:.2f} | {row['Python / native']:.0f} |")

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.agent import Agent
-from cosim.components.component import Floats
-from cosim.components.opening import open_components
+from cosim.components.component import Component, Floats
+from cosim.components.opening import await_open, open_components, terminate
+from cosim.logs import NO_LOGS, Logs
 from cosim.mailbox import Mailboxes
 from cosim.memory import LoopMemory
 from cosim.plan import AgentPlan, Loop, Plan
@@ -36,13 +37,16 @@ class Agents:
         own: which of its agents; all of them by default.
         attended: (1,) kept up to date for whoever looks at it from outside: which of `own` is being initialised or
             advanced, -1 for none.
+        logs: where what the components log goes.
 
     Raises:
         ConfigError: a component cannot be opened; none is left open.
         RunError: a component refuses.
     """
 
-    def __init__(self, plan: Plan, own: Sequence[AgentPlan] | None = None, attended: Ints | None = None) -> None:
+    def __init__(
+        self, plan: Plan, own: Sequence[AgentPlan] | None = None, attended: Ints | None = None, logs: Logs = NO_LOGS
+    ) -> None:
         self._plan = plan
         self._attended = np.full(1, -1) if attended is None else attended
         own = plan.agents if own is None else own
@@ -52,16 +56,20 @@ class Agents:
             [(wiring.n_signals, len(agent.components)) for agent, wiring in zip(own, wired, strict=True)]
         )
         self._agents: list[Agent] = []
+        opened: list[list[Component]] = []
         self._native: NativeBlock | None = None
         try:
-            for index, (agent, wiring) in enumerate(zip(own, wired, strict=True)):
-                components = open_components(agent)
+            for agent in own:
+                opened.append(open_components(agent, logs))  # noqa: PERF401 - what is open is known when the next one fails
+            for index, (agent, wiring, components) in enumerate(zip(own, wired, opened, strict=True)):
+                await_open(agent, components)
                 self._agents.append(Agent(agent, wiring, plan.period_ns, components, self._memory.state(index)))
             self._by_themselves = [i for i, agent in enumerate(own) if agent.coupling.loop is Loop.PYTHON]
             self._mailboxes = Mailboxes([len(own[i].neighbours) for i in self._by_themselves], plan.period_ns)
             self._native = self._native_block([i for i, agent in enumerate(own) if agent.coupling.loop is Loop.NATIVE])
         except BaseException:
-            self.terminate()
+            for components in opened:
+                terminate(components)
             raise
         self._fed = [agent for agent in self._agents if agent.plan.external]
         self._places_of_samples = self._published()

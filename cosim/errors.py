@@ -96,7 +96,14 @@ class RunError(CosimError):
         self.message = message
         self.log = log
         text = f"agent {agent}, component {component}, at t = {time:.9g} s: {message}"
-        super().__init__(text + (f"\n  its last log line: {log}" if log else ""))
+        super().__init__(text + _last_lines(log))
+
+
+def _last_lines(log: str | None) -> str:
+    if not log:
+        return ""
+    lines = log.splitlines()
+    return f"\n  its last log line: {log}" if len(lines) == 1 else "\n    ".join(["\n  its last log lines:", *lines])
 
 
 class ClusterError(CosimError):

@@ -7,6 +7,7 @@ from typing import Protocol
 
 from cosim.agents import Agents
 from cosim.components.component import Floats
+from cosim.logs import NO_LOGS, Logs
 from cosim.master import Emulate, Master
 from cosim.pacing import Pacer
 from cosim.plan import Plan
@@ -38,12 +39,13 @@ class Interrupted(Exception):  # noqa: N818 - it is a request, not an error
         super().__init__(f"interrupted after tick {tick}")
 
 
-def run(
+def run(  # noqa: PLR0917
     plan: Plan,
     observers: Sequence[Observer],
     stop_requested: Callable[[], bool] = lambda: False,
     pacer: Pacer | None = None,
     take: Take | None = None,
+    logs: Logs = NO_LOGS,
 ) -> None:
     """Play a plan from tick 0 to its last tick.
 
@@ -53,13 +55,14 @@ def run(
         stop_requested: asked once per tick, and every 20 ms while the pacer waits.
         pacer: holds the run back to the pace of the wall; without one, it runs as fast as it can.
         take: gives the values from outside that are new at a tick; needed if the plan subscribes to any.
+        logs: where what the components log goes.
 
     Raises:
         RunError: a component failed.
         Interrupted: `stop_requested` said so.
         OverrunError: the pacer said so.
     """
-    agents = Agents(plan)
+    agents = Agents(plan, logs=logs)
     try:
         _play(plan, agents, observers, stop_requested, pacer, take)
     finally:

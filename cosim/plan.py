@@ -71,11 +71,19 @@ class CouplingPlan:
 
 
 @dataclass(frozen=True)
+class Isolation:
+    """A component in a process of its own: how long a call may take there, in nanoseconds of wall time."""
+
+    deadline_ns: int
+
+
+@dataclass(frozen=True)
 class ComponentPlan:
     """One component: an FMU (`path`) or a Python class (`python`, a dotted path).
 
     Attributes:
         start: start values and parameters by variable name, flat, numbers drawn; structural parameters among them.
+        isolation: None where it lives in the agent's own process.
     """
 
     name: str
@@ -83,6 +91,7 @@ class ComponentPlan:
     python: str | None
     description: Description
     start: Mapping[str, tuple[Value, ...]]
+    isolation: Isolation | None = None
 
 
 @dataclass(frozen=True)

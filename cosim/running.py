@@ -18,6 +18,8 @@ from cosim.bridge import Bridge, open_bridge, recorded
 from cosim.components.component import Floats
 from cosim.errors import ClusterError, ConfigError, CosimError, OverrunError, Problem, RunError
 from cosim.inline import Interrupted, Observer, Take, run
+from cosim.logs import LOG_FOLDER, Logs
+from cosim.native_output import captured
 from cosim.pacing import Overrun, Pacer, precise_timers
 from cosim.plan import Plan
 from cosim.progress import Disagreement, Progress, say
@@ -53,16 +55,17 @@ def main(args: argparse.Namespace) -> int:
     plan = planned.plan
     if absent := check.absent(plan):
         raise ConfigError([*absent, Problem("cosim serve runs this, with workers that have the whole files")])
-    return record(args, plan, _way_to_play)
+    return record(args, plan, _way_to_play, here=not args.distributed)
 
 
-def record(args: argparse.Namespace, plan: Plan, way: Way) -> int:
+def record(args: argparse.Namespace, plan: Plan, way: Way, *, here: bool = False) -> int:
     """Play a plan into a run folder, and draw its report.
 
     Args:
         args: as of `cosim run`, as far as it has them in common with `cosim serve`.
         plan: what is played.
         way: to play it.
+        here: whether its components live in this process.
 
     Returns:
         The exit code.
@@ -85,6 +88,7 @@ def record(args: argparse.Namespace, plan: Plan, way: Way) -> int:
     summary = _Summary(plan, pacer)
     stop = StopRequest()
     with (
+        _native_output(folder, here=here),
         stop.listening(),
         open_bridge(plan, _warn) as bridge,
         Progress(plan, quiet=args.quiet, pacer=pacer) as progress,
@@ -169,12 +173,34 @@ def _way_to_play(
         for option in ("workers", "on_worker_loss"):
             if getattr(args, option) is not None:
                 raise CosimError(f"--{option.replace('_', '-')} is for runs across processes; add --distributed")
-        return partial(run, plan, pacer=pacer), {}
+        return partial(_in_process, plan, pacer, folder), {}
     from cosim.distributed import cluster
 
     workers = cluster.division(plan, args.workers)
     play = partial(cluster.run, plan, workers, tell=tell, step_deadline=args.step_deadline, pacer=pacer, folder=folder)
     return play, {"distributed": {"workers": len(workers)}}
+
+
+@contextmanager
+def _native_output(folder: Path, *, here: bool) -> Iterator[None]:
+    """What native code prints goes to the run folder; of other processes, they see to it themselves."""
+    if not here:
+        yield
+        return
+    with Logs(folder / LOG_FOLDER) as logs, captured(logs.sink("output")):
+        yield
+
+
+def _in_process(  # noqa: PLR0917
+    plan: Plan,
+    pacer: Pacer | None,
+    folder: Path,
+    observers: Sequence[Observer],
+    stop_requested: Callable[[], bool],
+    take: Take | None = None,
+) -> None:
+    with Logs(folder / LOG_FOLDER) as logs:
+        run(plan, observers, stop_requested, pacer, take, logs)
 
 
 def _close_after(error: BaseException, recorder: Recorder) -> None:

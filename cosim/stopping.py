@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -44,4 +45,12 @@ class StopRequest:
         if self.number:
             signal.default_int_handler(number, frame)
         self.number = number
-        os.write(2, b"\nstopping as soon as everything is in order; once more to stop at once\n")
+        os.write(_screen(), b"\nstopping as soon as everything is in order; once more to stop at once\n")
+
+
+def _screen() -> int:
+    """The descriptor of standard error, wherever it is."""
+    try:
+        return sys.stderr.fileno()
+    except (AttributeError, OSError, ValueError):
+        return 2

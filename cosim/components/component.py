@@ -181,6 +181,9 @@ class Component(ABC):
         """Set a start value or parameter of any type before initialisation; enumeration items by name or number."""
 
     # --- life cycle -------------------------------------------------------------------------------------------------
+    def await_open(self) -> None:  # noqa: B027 - most are open at once
+        """Return when the component is open and has its start values; those in other processes open side by side."""
+
     @abstractmethod
     def enter_initialization(self, start_time: float, stop_time: float) -> None: ...
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from cosim.components.component import Component, Description, Interface
 from cosim.components.presented import own_starts
 from cosim.errors import ComponentError, RunError
+from cosim.logs import NO_LOGS, Logs, Sink
 from cosim.plan import AgentPlan, ComponentPlan, Method
 
 
@@ -31,8 +32,12 @@ def describe(path: Path | None, python: str | None, structural: Mapping[str, int
     return describe_python(python or "", structural)
 
 
-def open_components(plan: AgentPlan) -> list[Component]:
+def open_components(plan: AgentPlan, logs: Logs = NO_LOGS) -> list[Component]:
     """The components of an agent, instantiated and with their start values set; none is left open when one fails.
+
+    Args:
+        plan: of the agent.
+        logs: where what they log goes.
 
     Raises:
         ConfigError: a file or class cannot be used any more.
@@ -42,28 +47,48 @@ def open_components(plan: AgentPlan) -> list[Component]:
     interface = Interface.MODEL_EXCHANGE if joint else Interface.CO_SIMULATION
     components: list[Component] = []
     try:
-        for component_plan in plan.components:
-            component = _open(component_plan, interface)
+        for part in plan.components:
+            log = logs.sink(f"{plan.name}.{part.name}")
+            open_part = _here if part.isolation is None else _isolated
+            component = open_part(part, interface, log)
             components.append(component)
-            _start(component, component_plan)
+            _start(component, part)
     except ComponentError as error:
-        _terminate(components)
+        terminate(components)
         raise RunError(plan.name, error.component, 0.0, error.message, error.log) from error
     except BaseException:
-        _terminate(components)
+        terminate(components)
         raise
     return components
 
 
-def _open(plan: ComponentPlan, interface: Interface) -> Component:
-    own = plan.description.own or plan.description
-    if plan.path is not None:
+def open_component(  # noqa: PLR0917
+    name: str, path: Path | None, python: str | None, interface: Interface, description: Description, log: Sink
+) -> Component:
+    """A component in this process, instantiated; see `describe`.
+
+    Raises:
+        ConfigError: the file or class cannot be used any more.
+        ComponentError: it refuses.
+    """
+    if path is not None:
         from cosim.components.fmu import open_fmu
 
-        return open_fmu(plan.name, plan.path, interface, own)
+        return open_fmu(name, path, interface, description, log)
     from cosim.components.python import PythonInstance
 
-    return PythonInstance(plan.name, plan.python or "", interface, own)
+    return PythonInstance(name, python or "", interface, description)
+
+
+def _here(plan: ComponentPlan, interface: Interface, log: Sink) -> Component:
+    own = plan.description.own or plan.description
+    return open_component(plan.name, plan.path, plan.python, interface, own, log)
+
+
+def _isolated(plan: ComponentPlan, interface: Interface, log: Sink) -> Component:
+    from cosim.components.isolation import IsolatedComponent
+
+    return IsolatedComponent(plan, interface, log)
 
 
 def _start(component: Component, plan: ComponentPlan) -> None:
@@ -73,6 +98,21 @@ def _start(component: Component, plan: ComponentPlan) -> None:
         component.start(variable, values)
 
 
-def _terminate(components: list[Component]) -> None:
+def await_open(plan: AgentPlan, components: Sequence[Component]) -> None:
+    """Return when all components of an agent are open, in whatever process.
+
+    Raises:
+        ConfigError: a file or class cannot be used any more.
+        RunError: a component refuses.
+    """
+    try:
+        for component in components:
+            component.await_open()
+    except ComponentError as error:
+        raise RunError(plan.name, error.component, 0.0, error.message, error.log) from error
+
+
+def terminate(components: Sequence[Component]) -> None:
+    """End components; safe after a failure, and twice."""
     for component in components:
         component.terminate()

@@ -28,8 +28,13 @@ def leave_word(scratch: Path, folder: Path) -> None:
 
 def bequest(scratch: Path, name: str) -> Path | None:
     """The folder that the process of this name inherits, if any."""
+    return run_folder(scratch) if name == EMULATOR else None
+
+
+def run_folder(scratch: Path) -> Path | None:
+    """The folder that the run writes, if there is word of it."""
     word = scratch / _WORD
-    return Path(os.fsdecode(word.read_bytes())) if name == EMULATOR and word.exists() else None
+    return Path(os.fsdecode(word.read_bytes())) if word.exists() else None
 
 
 def inherit(folder: Path, exit_code: int) -> None:

@@ -7,6 +7,7 @@ import os
 import re
 import socket
 import sys
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib.metadata import version
@@ -19,6 +20,8 @@ from cosim.distributed.files import Offer, Procurement
 from cosim.distributed.lobby import Claim
 from cosim.distributed.serving import send, serve
 from cosim.errors import ClusterError, ConfigError, CosimError
+from cosim.logs import LOG_FOLDER, Logs
+from cosim.native_output import captured
 from cosim.plan import Plan
 from cosim.scratch import Scratch
 from network import access
@@ -76,7 +79,12 @@ def _take_part(
         same = (job.scenario, job.sha256) == (offer.job.scenario, offer.job.sha256)
         return plan if same else job.plan(located)
 
-    serve(endpoint, planned=planned)
+    started = time.strftime("%Y-%m-%dT%H-%M-%S")
+    folder = Path("runs") / plan.name / f"{started}-{endpoint.name}" / LOG_FOLDER
+    with Logs(folder) as logs, captured(logs.sink("output")):
+        serve(endpoint, planned=planned, logs=logs)
+    if folder.exists():
+        tell(f"what its components logged is in {folder}")
     if endpoint.failure is not None:
         raise endpoint.failure
     if not endpoint.done:

@@ -15,6 +15,7 @@ from cosim.distributed import whereabouts
 from cosim.distributed.inheritance import EXIT_ORPHANED
 from cosim.distributed.replacement import Moment
 from cosim.errors import ClusterError
+from cosim.spawning import how_it_ended, search_path, signal_name
 
 _EXIT_SECONDS = 1.0
 _STOPPED_SECONDS = 2.0
@@ -46,8 +47,7 @@ class Processes:
         Raises:
             ClusterError: the system refuses.
         """
-        path = os.pathsep.join(entry or str(Path.cwd()) for entry in sys.path)
-        environment = {**os.environ, "PYTHONPATH": path}
+        environment = {**os.environ, "PYTHONPATH": search_path()}
         previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # inherited by what is started
         try:
             for name in names:
@@ -82,13 +82,9 @@ class Processes:
         code = process.poll()
         if code is None:
             return _stopped(process.pid)
-        if code < 0:
-            hint = ", as the system does when memory runs out" if -code == signal.SIGKILL else ""
-            return f"was killed by signal {-code} ({_signal_name(-code)}{hint})"
         if code == EXIT_ORPHANED:
             return "ended because it had lost its connection to the others"
-        hint = f" ({_signal_name(code - 128)})" if code > 128 else ""
-        return f"ended with exit code {code}{hint}"
+        return how_it_ended(code)
 
     def moment(self, name: str) -> Moment | None:
         """What a worker is doing, or was when it ended; None if it is not known."""
@@ -133,17 +129,10 @@ def _end(processes: Iterable[subprocess.Popen[bytes]]) -> None:
             process.stdin.close()
 
 
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return "unknown"
-
-
 def _stopped(pid: int) -> str | None:
     """That a child is stopped, if it is."""
     try:
         state = os.waitid(os.P_PID, pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT)
     except (ChildProcessError, AttributeError):
         return None
-    return None if state is None else f"is stopped by signal {state.si_status} ({_signal_name(state.si_status)})"
+    return None if state is None else f"is stopped by signal {state.si_status} ({signal_name(state.si_status)})"

@@ -15,8 +15,8 @@ import tempfile
 import threading
 import time
 import traceback
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
 from typing import BinaryIO, NoReturn, Protocol, cast
@@ -24,9 +24,10 @@ from typing import BinaryIO, NoReturn, Protocol, cast
 from cosim.distributed.assignment import EMULATOR, ORCHESTRATOR, Job, Message
 from cosim.distributed.emulation import Emulation
 from cosim.distributed.failure import OPENING, Failure
-from cosim.distributed.inheritance import EXIT_ORPHANED, bequest, inherit
+from cosim.distributed.inheritance import EXIT_ORPHANED, bequest, inherit, run_folder
 from cosim.distributed.worker import Worker
 from cosim.errors import ClusterError, CosimError
+from cosim.logs import LOG_FOLDER, NO_LOGS, Logs
 from cosim.plan import Plan
 from network.messages import Ints
 from network.transport import Endpoint, Envelope, Kind, PeerLost, Refused, TransportTimeout, WireError
@@ -69,13 +70,19 @@ class Machine(Protocol):
         """At the end."""
 
 
-def machine(name: str, job: Job, whereabouts: Ints | None = None, planned: Callable[[Job], Plan] = Job.plan) -> Machine:
-    """The state machine of the process of that name, its job `planned`; a worker keeps its `whereabouts` up to date."""
+def machine(
+    name: str,
+    job: Job,
+    whereabouts: Ints | None = None,
+    planned: Callable[[Job], Plan] = Job.plan,
+    logs: Logs = NO_LOGS,
+) -> Machine:
+    """The state machine of the process of that name, its job `planned`; see `serve`."""
     plan = planned(job)
     if name == EMULATOR:
         in_memory = _MAIL_BYTES // len(job.workers)
         return Emulation(plan, job.workers, lambda: cast(BinaryIO, SpooledTemporaryFile(in_memory)))
-    return Worker(plan, name, job.workers, whereabouts)
+    return Worker(plan, name, job.workers, whereabouts, logs)
 
 
 def send(endpoint: Endpoint, messages: Sequence[Message]) -> None:
@@ -94,13 +101,19 @@ def post(endpoint: Endpoint, messages: Sequence[Message]) -> None:
         to(message.receiver, message.kind, message.tick, *message.parts)
 
 
-def serve(endpoint: Endpoint, whereabouts: Ints | None = None, planned: Callable[[Job], Plan] = Job.plan) -> None:
+def serve(
+    endpoint: Endpoint,
+    whereabouts: Ints | None = None,
+    planned: Callable[[Job], Plan] = Job.plan,
+    logs: Logs = NO_LOGS,
+) -> None:
     """Take a job from the orchestrator and carry it out until its BYE.
 
     Args:
         endpoint: of this process.
         whereabouts: see `Worker`.
         planned: plans the job.
+        logs: where what components log goes.
 
     Raises:
         PeerLost: the orchestrator is gone.
@@ -114,7 +127,7 @@ def serve(endpoint: Endpoint, whereabouts: Ints | None = None, planned: Callable
                 return
             if envelope is not None:
                 job = Job.decode(envelope)
-                served = machine(endpoint.name, job, whereabouts, planned)
+                served = machine(endpoint.name, job, whereabouts, planned, logs)
                 hold_back = 0.0 if job.paced else FLUSH_SECONDS
         send(endpoint, served.prepare())
         _carry_out(endpoint, served, hold_back)
@@ -190,8 +203,9 @@ def main(args: argparse.Namespace) -> NoReturn:
 
     code = 0
     try:
-        endpoint = connect(args.run, args.name, [args.endpoint], timeout=_JOIN_SECONDS, listen=listen)
-        serve(endpoint, whereabouts.write_to(args.scratch, args.name))
+        with _logs(args) as logs:
+            endpoint = connect(args.run, args.name, [args.endpoint], timeout=_JOIN_SECONDS, listen=listen)
+            serve(endpoint, whereabouts.write_to(args.scratch, args.name), logs=logs)
     except PeerLost:
         code = EXIT_ORPHANED
         if orphaned.wait(_GRACE_SECONDS):  # else it is the router that is gone, and the orchestrator clears up
@@ -204,6 +218,19 @@ def main(args: argparse.Namespace) -> NoReturn:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)  # closing a session can take seconds while others of the run close theirs, and nothing needs it
+
+
+@contextmanager
+def _logs(args: argparse.Namespace) -> Iterator[Logs]:
+    """Where what this worker's components log and print goes: not to the screen."""
+    folder = None if args.name == EMULATOR else run_folder(args.scratch)
+    if folder is None:
+        yield NO_LOGS
+        return
+    from cosim.native_output import captured
+
+    with Logs(folder / LOG_FOLDER) as logs, captured(logs.sink(f"{args.name}.output")):
+        yield logs
 
 
 def _guard(scratch: Path, folder: Path | None, orphaned: threading.Event) -> None:

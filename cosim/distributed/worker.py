@@ -14,6 +14,7 @@ from cosim.agents import Agents
 from cosim.distributed.assignment import EMULATOR, ORCHESTRATOR, Message, Share, batch_ticks, blocks, pick
 from cosim.distributed.failure import INITIALISING, OPENING, Failure
 from cosim.errors import ConfigError, RunError
+from cosim.logs import NO_LOGS, Logs
 from cosim.plan import AgentPlan, Plan
 from network import codec
 from network.messages import Floats, Ints, Mail
@@ -29,9 +30,12 @@ class Worker:
         workers: the agents of every worker.
         whereabouts: (2,) kept up to date for whoever looks at it from outside: the tick, and which of its agents is
             being advanced from it, -1 for none. Where the tick is `OPENING` or `INITIALISING`, it is that.
+        logs: where what the components log goes.
     """
 
-    def __init__(self, plan: Plan, name: str, workers: Mapping[str, Share], whereabouts: Ints | None = None) -> None:
+    def __init__(
+        self, plan: Plan, name: str, workers: Mapping[str, Share], whereabouts: Ints | None = None, logs: Logs = NO_LOGS
+    ) -> None:
         self._plan = plan
         self._share = workers[name]
         self._batch_ticks = batch_ticks(plan)
@@ -41,6 +45,7 @@ class Worker:
         self._rows: list[Floats] = []
         self._tick = 0
         self._whereabouts = np.zeros(2, np.int64) if whereabouts is None else whereabouts
+        self._logs = logs
         self._started = self._failed = False
         self.finished = False
 
@@ -57,7 +62,7 @@ class Worker:
         """Open the agents and bring them to tick 0."""
         self._whereabouts[:] = OPENING, -1
         try:
-            self._agents = Agents(self._plan, self._own, self._whereabouts[1:])
+            self._agents = Agents(self._plan, self._own, self._whereabouts[1:], self._logs)
         except (RunError, ConfigError) as error:
             return self._fail(Failure(OPENING, self._index_of(error), error))
         self._whereabouts[0] = INITIALISING

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from cosim.components.component import Description, Value
 from cosim.components.presented import in_unit_of
 from cosim.errors import Location, suggest
-from cosim.plan import Connection, CouplingPlan, Port
+from cosim.plan import Connection, CouplingPlan, Isolation, Port
 from cosim.planning.coupling import choose_coupling
 from cosim.planning.describing import Describer, Origin
 from cosim.planning.mapping import Mapped, in_words, map_names
@@ -29,6 +30,7 @@ class Part:
     origin: Origin
     mapped: Mapped
     start: Mapping[str, tuple[Element, ...]]
+    isolation: Isolation | None = None
 
     @property
     def description(self) -> Description:
@@ -131,7 +133,15 @@ def _part(
             return None
     mapped = map_names(description, spec, node, problems)
     start.update(_start_values(spec, node, mapped, problems, structural=False))
-    return Part(name, origin, mapped, start)
+    return Part(name, origin, mapped, start, _isolation(spec, node, problems))
+
+
+def _isolation(spec: ComponentSpec, node: Node, problems: Problems) -> Isolation | None:
+    if spec.isolate is None:
+        return None
+    if os.name == "nt":
+        problems.error("'isolate' takes Linux or macOS; leave it out here", node.locate("isolate", key=True))
+    return Isolation(spec.isolate.deadline)
 
 
 def _start_values(

@@ -41,7 +41,7 @@ def choose_coupling(
             f"{why}: {_quoted(lacking)} {'does' if len(lacking) == 1 else 'do'} not offer {_words(wanted)}", where
         )
     retries = 0 if method is Method.JOINT else spec.retries
-    loop = _loop(spec, node, _in_python(descriptions, method, retries), problems)
+    loop = _loop(spec, node, _in_python(entry, descriptions, method, retries), problems)
     unsaved = [name for name, description in descriptions.items() if not description.can_get_and_set_state]
     if retries and unsaved:
         problems.error(
@@ -83,9 +83,14 @@ def warn_of_order(agent: AgentPlan, where: Location, problems: Problems) -> None
                 )
 
 
-def _in_python(descriptions: Mapping[str, Description], method: Method, retries: int) -> dict[str, str]:
+def _in_python(
+    entry: AgentEntry, descriptions: Mapping[str, Description], method: Method, retries: int
+) -> dict[str, str]:
     """The components that the native loop cannot run, and why: `'plant' is Python`."""
     found = {name: f"{name!r} is Python" for name, description in descriptions.items() if description.fmi == "python"}
+    for name, component in entry.spec.components.items():
+        if component.isolate is not None:
+            found.setdefault(name, f"{name!r} is isolated")
     for name, description in descriptions.items():
         if name in found or method is Method.JOINT:
             continue

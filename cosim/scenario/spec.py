@@ -191,6 +191,27 @@ Sha256: TypeAlias = Annotated[
 ]
 
 
+class IsolationSpec(Spec):
+    """How a component in a process of its own is watched."""
+
+    deadline: PositiveDuration = Field(
+        10_000_000_000,
+        description="How long one call of it, such as a micro step, may take, in wall time; 10 s by default. Then its "
+        "process is killed. To open and to initialise it has a minute, or this if that is longer.",
+    )
+
+
+def _isolation(value: Any) -> Any:
+    return IsolationSpec() if value is True else None if value is False else value
+
+
+class _OrBoolean:
+    """In the JSON schema: or true or false."""
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return {"anyOf": [{"type": "boolean"}, handler(schema)]}
+
+
 class ComponentSpec(Spec):
     """One component of an agent: an FMU or a Python class."""
 
@@ -215,6 +236,12 @@ class ComponentSpec(Spec):
     sha256: Sha256 | None = Field(
         None,
         description="SHA-256 that the file must have, as `sha256sum` prints it; of a Python class, its source file's.",
+    )
+
+    isolate: Annotated[IsolationSpec | None, BeforeValidator(_isolation), _OrBoolean()] = Field(
+        None,
+        description="true: it runs in a process of its own, so that a crash, a hang or what it changes of its process "
+        "hurts nothing else. Numbers stay the same; a micro step costs some 0.1 ms more.",
     )
 
     @model_validator(mode="after")

@@ -3,6 +3,7 @@
  * One binary serves FMI 2.0 and 3.0. Functions that are not here come from generated stubs that return Error. Every value
  * is kept as a double in a slot: inputs have slots 10 to 21 and their echoes are read 20 higher.
  */
+#define _POSIX_C_SOURCE 200809L /* setenv */
 #include <math.h>
 #include <stdbool.h>
 #include <stddef.h>
@@ -10,6 +11,10 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+
+#ifndef _WIN32
+#include <unistd.h>
+#endif
 
 #include "fmi2Functions.h"
 #include "fmi3Functions.h"
@@ -45,6 +50,12 @@ enum {
     STEP_PENDING,
     STEP_PENDING_ERROR,
     STEP_PENDING_FOREVER,
+    STEP_PRINTS,
+    STEP_FLOODS,
+    STEP_HANGS,
+    STEP_CRASHES,
+    STEP_WANDERS,
+    STEP_SCRIBBLES,
 };
 
 typedef struct {
@@ -70,6 +81,59 @@ static int failed(Probe *p, int status) {
         p->callbacks2->logger(p->callbacks2->componentEnvironment, "probe", (fmi2Status)status, "logStatusError",
                               "%s gives up at t = %g", p->label, p->slots[TIME]);
     return status;
+}
+
+static void say(Probe *p, int status, const char *text) {
+    if (p->fmi3 && p->log3) p->log3(p->environment, (fmi3Status)status, "logStatusWarning", text);
+    if (!p->fmi3)
+        p->callbacks2->logger(p->callbacks2->componentEnvironment, "probe", (fmi2Status)status, "logStatusWarning", "%s",
+                              text);
+}
+
+/* A gigabyte to the log, and a quarter of one to standard output. */
+static void flood(Probe *p) {
+    enum { SIZE = 1 << 18 };
+    char *text = malloc(SIZE + 1);
+    memset(text, '#', SIZE);
+    text[SIZE] = 0;
+    for (int i = 0; i < (1 << 30) / SIZE; i++) {
+        snprintf(text, 32, "line %d", i);
+        text[strlen(text)] = ' ';
+        say(p, 1, text);
+        if (i % 4 == 0) puts(text);
+    }
+    say(p, 1, "the last line");
+    puts("the last line");
+    free(text);
+}
+
+static void misbehave(Probe *p) {
+    switch ((int)p->slots[FAILS]) {
+        case STEP_PRINTS:
+            printf("%s printed at t = %g\n", p->label, p->slots[TIME]);
+            fprintf(stderr, "%s complained\n", p->label);
+            break;
+        case STEP_FLOODS: flood(p); break;
+        case STEP_HANGS:
+            puts("going round in circles");
+            for (volatile int forever = 1; forever;) {}
+            break;
+        case STEP_CRASHES:
+            puts("about to crash");
+            *(volatile int *)NULL = 1;
+            break;
+        case STEP_WANDERS:
+#ifndef _WIN32
+            if (chdir("/") == 0) setenv("LC_ALL", "xx_XX", 1);
+#endif
+            break;
+        case STEP_SCRIBBLES:
+#ifndef _WIN32
+            for (int descriptor = 3; descriptor < 64; descriptor++)
+                if (write(descriptor, "this is none of my business", 27) < 0) continue;
+#endif
+            break;
+    }
 }
 
 static int mode(const Probe *p) { return (int)p->slots[FAILS]; }
@@ -105,7 +169,7 @@ static double rate(const Probe *p) {
     return 10.0 + p->vector[0];
 }
 
-static double read(Probe *p, unsigned reference, size_t element) {
+static double value_of(Probe *p, unsigned reference, size_t element) {
     if (reference == RATE) return rate(p);
     if (mode(p) == OUTPUT_NAN && reference == 31 && p->slots[TIME] > 0.01) return NAN;
     if (mode(p) == NEVER_CONVERGES && reference == 31) return p->slots[EVENTS];
@@ -139,6 +203,7 @@ static int completed(Probe *p, bool *event, bool *stop) {
 
 static int step(Probe *p, double time, double length) {
     p->slots[TIME] = time;
+    if (time > 0.35) misbehave(p);
     if (mode(p) == STEP_DISCARDS) return failed(p, DISCARD);
     if (mode(p) == STEP_STOPS && !p->fmi3) return DISCARD;
     if (mode(p) == STEP_ERROR) return failed(p, ERROR);
@@ -235,7 +300,7 @@ fmi3Status fmi3Terminate(fmi3Instance i) { return i ? fmi3OK : fmi3Error; }
                              size_t n_values) {                                                                    \
         (void)n_values;                                                                                            \
         for (size_t j = 0; j < n; j++)                                                                             \
-            for (size_t e = 0; e < size_of(i, vr[j]); e++) *values++ = (fmi3##Name)read(i, vr[j], e);              \
+            for (size_t e = 0; e < size_of(i, vr[j]); e++) *values++ = (fmi3##Name)value_of(i, vr[j], e);              \
         return fmi3OK;                                                                                             \
     }                                                                                                              \
     fmi3Status fmi3Set##Name(fmi3Instance i, const fmi3ValueReference vr[], size_t n, const fmi3##Name values[],   \
@@ -351,7 +416,7 @@ fmi2Status fmi2Terminate(fmi2Component c) { return c ? fmi2OK : fmi2Error; }
 
 #define ACCESS2(Name)                                                                                           \
     fmi2Status fmi2Get##Name(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2##Name values[]) {   \
-        for (size_t j = 0; j < n; j++) values[j] = (fmi2##Name)read(c, vr[j], 0);                               \
+        for (size_t j = 0; j < n; j++) values[j] = (fmi2##Name)value_of(c, vr[j], 0);                               \
         return fmi2OK;                                                                                          \
     }                                                                                                           \
     fmi2Status fmi2Set##Name(fmi2Component c, const fmi2ValueReference vr[], size_t n,                          \

@@ -14,6 +14,7 @@ from cosim.components.fmu.component import Fmi2Component, Fmi3Component, FmuComp
 from cosim.components.fmu.library import PLATFORM, read
 from cosim.components.fmu.variables import fmi2_variables, fmi3_variables
 from cosim.errors import ComponentError
+from cosim.logs import Sink, discard
 
 __all__ = ["FmuComponent", "Native", "describe", "open_fmu"]
 
@@ -74,7 +75,9 @@ def _seconds(written: str | float | None) -> float | None:
     return step if step > 0.0 else None
 
 
-def open_fmu(name: str, path: Path, interface: Interface, description: Description) -> FmuComponent:
+def open_fmu(
+    name: str, path: Path, interface: Interface, description: Description, log: Sink = discard
+) -> FmuComponent:
     """A new instance.
 
     Args:
@@ -82,6 +85,7 @@ def open_fmu(name: str, path: Path, interface: Interface, description: Descripti
         path: of the file.
         interface: Model Exchange or Co-Simulation.
         description: from `describe`, with the arrays sized as they will be used.
+        log: takes what the instance logs, line by line.
 
     Raises:
         ConfigError: the file cannot be used, see `describe`; or it holds only the description.
@@ -94,4 +98,4 @@ def open_fmu(name: str, path: Path, interface: Interface, description: Descripti
         raise refuse(path, f"holds only the description of {file.archive.original_name}; running it takes that file")
     if interface not in file.implementations:
         raise ComponentError(name, f"{path} does not offer {interface}")
-    return (Fmi2Component if file.fmi == 2 else Fmi3Component)(name, file, interface, description)
+    return (Fmi2Component if file.fmi == 2 else Fmi3Component)(name, file, interface, description, log)

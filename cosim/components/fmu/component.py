@@ -29,6 +29,7 @@ from cosim.components.fmu.values import FMI2_TYPES, FMI3_TYPES, Buffer
 from cosim.components.fmu.variables import fmi3_shape
 from cosim.components.start_values import start_values
 from cosim.errors import ComponentError, ConfigError, DiscardedStepError
+from cosim.logs import Sink, discard
 
 DISCRETE_STATE_ITERATIONS = 100
 """How often an FMU may ask for another update of its discrete states at one instant."""
@@ -68,11 +69,13 @@ class Native:
 class FmuComponent(Component):
     """An FMU instance. After status Error it is only freed, after Fatal it is never touched again."""
 
-    def __init__(self, name: str, file: File, interface: Interface, description: Description) -> None:
+    def __init__(
+        self, name: str, file: File, interface: Interface, description: Description, log: Sink = discard
+    ) -> None:
         self.name = name
         self.interface = interface
         self.description = description
-        self.log = Log()
+        self.log = Log(log)
         self._usable = True
         self._initialised = False
         self._failed = False
@@ -322,8 +325,10 @@ def _memory(size: int) -> tuple[Floats, Any]:
 class Fmi2Component(FmuComponent):
     """FMI 2.0."""
 
-    def __init__(self, name: str, file: File, interface: Interface, description: Description) -> None:
-        super().__init__(name, file, interface, description)
+    def __init__(
+        self, name: str, file: File, interface: Interface, description: Description, log: Sink = discard
+    ) -> None:
+        super().__init__(name, file, interface, description, log)
         model = file.model
         if interface is Interface.MODEL_EXCHANGE:
             self._resize(model.numberOfContinuousStates, model.numberOfEventIndicators)
@@ -416,9 +421,11 @@ class Fmi2Component(FmuComponent):
 class Fmi3Component(FmuComponent):
     """FMI 3.0; structural parameters are set in Configuration Mode."""
 
-    def __init__(self, name: str, file: File, interface: Interface, description: Description) -> None:
+    def __init__(
+        self, name: str, file: File, interface: Interface, description: Description, log: Sink = discard
+    ) -> None:
         self.uses_events = interface is Interface.CO_SIMULATION and bool(file.implementations[interface].hasEventMode)
-        super().__init__(name, file, interface, description)
+        super().__init__(name, file, interface, description, log)
         self._file = file
         self._structural: dict[str, int] = {}
         self._count_states()

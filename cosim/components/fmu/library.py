@@ -26,6 +26,7 @@ from xml.etree import ElementTree
 
 from cosim.components.component import Interface
 from cosim.components.fmu.archive import Archive, inspect, refuse, unpack
+from cosim.logs import Sink, discard
 
 with contextlib.redirect_stdout(io.StringIO()):  # where FMPy has no logger for the platform, it prints so
     import fmpy
@@ -66,6 +67,9 @@ TERMINATED: int = fmi2Terminated
 
 LOG_LINES = 100
 """How many of the latest lines that an instance logged are kept."""
+
+_LINE_BYTES = 10_000
+"""How much of each."""
 
 STATUS_NAMES = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 
@@ -246,10 +250,11 @@ def status_name(status: int) -> str:
 
 
 class Log:
-    """The latest lines that one instance logged."""
+    """What one instance logs: the latest lines, and all of it for `sink`."""
 
-    def __init__(self) -> None:
+    def __init__(self, sink: Sink = discard) -> None:
         self.lines: deque[str] = deque(maxlen=LOG_LINES)
+        self._sink = sink
 
     @property
     def last(self) -> str | None:
@@ -257,8 +262,9 @@ class Log:
 
     def add(self, status: int, message: bytes | None) -> None:
         """Called by the FMU, from native code: must not raise."""
-        text = (message or b"").decode(errors="replace").strip()
-        self.lines.append(f"[{status_name(status)}] {text}")
+        text = message or b""
+        self._sink(b"[%b] %b\n" % (status_name(status).encode(), text.strip()))
+        self.lines.append(f"[{status_name(status)}] {text[:_LINE_BYTES].decode(errors='replace').strip()}")
 
 
 _logs: weakref.WeakValueDictionary[int, Log] = weakref.WeakValueDictionary()

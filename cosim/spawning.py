@@ -1,0 +1,30 @@
+"""What processes that this one starts have in common: where they look for modules, and how their end reads."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+
+def search_path() -> str:
+    """For `PYTHONPATH`: they search for modules where this process does."""
+    return os.pathsep.join(entry or str(Path.cwd()) for entry in sys.path)
+
+
+def how_it_ended(code: int) -> str:
+    """A return code of `subprocess`, in words."""
+    if code < 0:
+        hint = ", as the system does when memory runs out" if -code == signal.SIGKILL else ""
+        return f"was killed by signal {-code} ({signal_name(-code)}{hint})"
+    hint = f" ({signal_name(code - 128)})" if code > 128 else ""
+    return f"ended with exit code {code}{hint}"
+
+
+def signal_name(number: int) -> str:
+    """Such as SIGSEGV."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return "unknown"
