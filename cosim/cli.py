@@ -228,7 +228,7 @@ def _parser() -> argparse.ArgumentParser:
     _command(commands, "schema", _schema, "print the JSON schema of a scenario, for editors")
     _add_channel(commands)
     _add_keys(commands)
-    cli_fmu.add(commands, _command)
+    cli_fmu.add(commands, _command, _seconds)
     _add_hosts(commands)
     process = commands.add_parser("_process")  # what `cosim run --distributed` starts; not for people
     process.add_argument("name")

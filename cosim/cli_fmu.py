@@ -7,8 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+TEST_EXIT_CODES = """\
+exit codes:
+  0    no problems
+  2    problems, or it cannot be tried out at all
+"""
 
-def add(commands: Any, command: Callable[..., argparse.ArgumentParser]) -> None:
+
+def add(commands: Any, command: Callable[..., argparse.ArgumentParser], seconds: Callable[[str], float]) -> None:
     """`cosim fmu` with all it can do."""
     fmu = commands.add_parser("fmu", help="work on FMU files", description="Work on FMU files.")
     actions = fmu.add_subparsers(title="commands", metavar="COMMAND", required=True)
@@ -21,6 +27,22 @@ def add(commands: Any, command: Callable[..., argparse.ArgumentParser]) -> None:
     wire.add_argument("file", metavar="FILE", help="the FMU, or the name of a shipped one")
     wire.add_argument("--role", default="plant", metavar="NAME", help="of the component (default: %(default)s)")
     wire.add_argument("-o", "--out", type=Path, metavar="OUT", help="the new file (default: standard output)")
+
+    test = command(actions, "test", _test, "try out an FMU or a Python component, in a process of its own")
+    test.add_argument(
+        "target", metavar="FILE|CLASS", help="the FMU, the name of a shipped one, or package.module:Class"
+    )
+    test.add_argument(
+        "--start",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        help="start value of a variable where its own will not do; repeatable",
+    )
+    test.add_argument(
+        "--deadline", type=seconds, default=10.0, metavar="TIME", help="longest time of one check (default: 10 s)"
+    )
+    test.epilog = TEST_EXIT_CODES
 
     about = "write what an FMU says of itself, for others to plan with while the FMU stays"
     strip = command(actions, "strip", _strip, about)
@@ -61,6 +83,25 @@ def _wire(args: argparse.Namespace) -> int:
         raise refuse(args.out, f"cannot be written: {error.strerror}") from error
     print(f"wrote {args.out}; next: cosim check {args.out}")
     return 0
+
+
+def _test(args: argparse.Namespace) -> int:
+    import yaml
+
+    from cosim.conformance import check
+    from cosim.errors import ConfigError, Problem
+    from cosim.fmu_commands import find
+
+    start = {}
+    for text in args.start:
+        name, equals, value = text.partition("=")
+        if not equals or not name:
+            raise ConfigError([Problem(f"--start {text}: write NAME=VALUE")])
+        start[name] = yaml.safe_load(value)
+    target = args.target if ":" in args.target and not Path(args.target).exists() else find(args.target)
+    report = check(target, start=start, deadline=args.deadline)
+    print(report)
+    return 2 if report.problems else 0
 
 
 def _strip(args: argparse.Namespace) -> int:

@@ -195,6 +195,21 @@ class Component(ABC):
     def terminate(self) -> None:
         """Terminate and free. Calling it twice, or after a failure, does no harm."""
 
+    def reset(self) -> None:
+        """Back to how it was when it was instantiated, without any start values."""
+        raise NotImplementedError
+
+    # --- saved states -----------------------------------------------------------------------------------------------
+    def save(self) -> object:
+        """Its whole state, for `restore`; `forget` it in the end."""
+        raise NotImplementedError
+
+    def restore(self, saved: object) -> None:
+        raise NotImplementedError
+
+    def forget(self, saved: object) -> None:
+        raise NotImplementedError
+
     # --- Co-Simulation ----------------------------------------------------------------------------------------------
     uses_events: bool = False
     """Whether it has an Event Mode (FMI 3.0, 4.2): initialisation ends there, and discrete inputs are set there."""

@@ -52,7 +52,7 @@ def open_components(plan: AgentPlan, logs: Logs = NO_LOGS) -> list[Component]:
             open_part = _here if part.isolation is None else _isolated
             component = open_part(part, interface, log)
             components.append(component)
-            _start(component, part)
+            set_start_values(component, part)
     except ComponentError as error:
         terminate(components)
         raise RunError(plan.name, error.component, 0.0, error.message, error.log) from error
@@ -91,8 +91,28 @@ def _isolated(plan: ComponentPlan, interface: Interface, log: Sink) -> Component
     return IsolatedComponent(plan, interface, log)
 
 
-def _start(component: Component, plan: ComponentPlan) -> None:
-    """Structural parameters first: they size the others."""
+def open_started(plan: ComponentPlan, interface: Interface) -> Component:
+    """One component by itself, in this process, instantiated and with its start values set.
+
+    Raises:
+        ConfigError: its file or class cannot be used any more.
+        ComponentError: it refuses.
+    """
+    component = _here(plan, interface, NO_LOGS.sink(plan.name))
+    try:
+        set_start_values(component, plan)
+    except BaseException:
+        component.terminate()
+        raise
+    return component
+
+
+def set_start_values(component: Component, plan: ComponentPlan) -> None:
+    """Those of the plan; structural parameters first: they size the others.
+
+    Raises:
+        ComponentError: it refuses one.
+    """
     starts = own_starts(plan.description.variables, plan.start)
     for variable, values in sorted(starts, key=lambda start: start[0].causality != "structuralParameter"):
         component.start(variable, values)

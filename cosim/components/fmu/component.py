@@ -237,21 +237,36 @@ class FmuComponent(Component):
 
     def _try_step(self, time: float, step: float, *, last: bool) -> bool:
         """Make a step; False, and back where it began, if it is discarded and this is not the last attempt."""
-        state = self._state_call("getFMUState")
+        state = self.save()
         try:
             self.step(time, step)
         except DiscardedStepError as error:
             if last:
                 shorter = f"; it is the shortest step that `retries` allows ({step:.3g} s)"
                 raise DiscardedStepError(self.name, error.message + shorter, error.log) from None
-            self._state_call("setFMUState", state)
+            self.restore(state)
             return False
         finally:
-            if self._usable and not self._failed:
-                self._state_call("freeFMUState", state)
+            self.forget(state)
         return True
 
+    # --- saved states -----------------------------------------------------------------------------------------------
+    def reset(self) -> None:
+        self._call(f"fmi{self._fmi}Reset")
+        self._initialised = False
+
+    def save(self) -> object:
+        return self._state_call("getFMUState")
+
+    def restore(self, saved: object) -> None:
+        self._state_call("setFMUState", saved)
+
+    def forget(self, saved: object) -> None:
+        if self._usable and not self._failed:
+            self._state_call("freeFMUState", saved)
+
     def _state_call(self, function: str, *arguments: Any) -> Any:
+        self.require_usable()
         try:
             return getattr(self._fmu, function)(*arguments)
         except FMICallException as error:

@@ -1,0 +1,103 @@
+"""Components that keep to the rules, and some that break one each."""
+
+import itertools
+import os
+from collections.abc import Mapping
+
+from cosim.components.python import Input, Output, Parameter, PythonComponent, State, Structural
+
+
+class Lag(PythonComponent):
+    """x' = (u - x) / T; y = x."""
+
+    n = Structural(2)
+    time_constant = Parameter(0.1, unit="s")
+    u = Input(shape=("n",))
+    x = State(shape=("n",))
+    y = Output(shape=("n",), depends_on=())
+
+    def derivatives(self, time: float) -> Mapping[str, object]:
+        return {"x": (self.u - self.x) / self.time_constant}
+
+    def outputs(self, time: float) -> None:
+        self.y = self.x
+
+
+class Ramp(PythonComponent):
+    """Steps itself: y = the integral of u."""
+
+    u = Input(1.0)
+    y = Output(depends_on=())
+
+    def step(self, time: float, step: float) -> None:
+        self.y = self.y + self.u * step
+
+
+class Forgetful(Ramp):
+    """Takes every step for one of the same length."""
+
+    def step(self, time: float, step: float) -> None:
+        self.y = self.y + self.u
+
+
+class Shared(Ramp):
+    """Counts the steps of all its instances."""
+
+    steps = itertools.count()
+
+    def step(self, time: float, step: float) -> None:
+        self.y = next(self.steps)
+
+
+class Direct(PythonComponent):
+    """Follows its input at once, and denies it."""
+
+    u = Input()
+    y = Output(depends_on=())
+
+    def outputs(self, time: float) -> None:
+        self.y = 2.0 * self.u
+
+
+class Remembering(Lag):
+    """Its derivative depends on what was asked before."""
+
+    asked = 0
+
+    def derivatives(self, time: float) -> Mapping[str, object]:
+        self.asked += 1
+        return {"x": self.u - self.x + 1e-3 * self.asked}
+
+
+class Fixed(Lag):
+    """Its arrays have one size only."""
+
+    def outputs(self, time: float) -> None:
+        self.y[1] = self.x[1]
+
+
+class Fragile(Ramp):
+    """NaN ends the process."""
+
+    def step(self, time: float, step: float) -> None:
+        if self.u != self.u:
+            print("what is this?", flush=True)
+            os.abort()
+        super().step(time, step)
+
+
+class Endless(Ramp):
+    """NaN never ends."""
+
+    def step(self, time: float, step: float) -> None:
+        while self.u != self.u:
+            pass
+        super().step(time, step)
+
+
+class Picky(Ramp):
+    """Refuses what it declares."""
+
+    def initialise(self, time: float) -> None:
+        if self.u == 1.0:
+            raise ValueError("1 is no good start")
