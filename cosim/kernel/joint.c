@@ -164,7 +164,7 @@ static bool runge_kutta_step(Agent *agent, double t, double h) {
 }
 
 static bool equal_steps(Agent *agent, int64_t start_ns, int64_t end_ns, int64_t *reached_ns, int32_t *component) {
-    MakeStep make = agent->integrator == EULER ? euler_step : runge_kutta_step;
+    bool euler = agent->integrator == EULER;
     double h;
     int64_t n = micro_steps(agent, start_ns, end_ns, &h);
     double start = to_seconds(start_ns), end = to_seconds(end_ns);
@@ -174,9 +174,11 @@ static bool equal_steps(Agent *agent, int64_t start_ns, int64_t end_ns, int64_t 
     for (int64_t i = 0; i < n; i++) {
         bool final = i + 1 == n;
         double t = start + (double)i * h, reached = final ? end : start + (double)(i + 1) * h;
-        if (!make(agent, t, h) || !crosses(agent, reached, &crossed)) return false;
+        if (!(euler ? euler_step(agent, t, h) : runge_kutta_step(agent, t, h))) return false;
+        if (!crosses(agent, reached, &crossed)) return false;
         if (crossed)
-            return locate(agent, bracket(t, reached, start_ns, end_ns, final), (Step){make, t}, reached_ns, component);
+            return locate(agent, bracket(t, reached, start_ns, end_ns, final), (Step){euler ? euler_step : runge_kutta_step, t},
+                          reached_ns, component);
         copy_states(agent, agent->states, agent->new_states);
         if (!accept(agent, reached, &event)) return false;
     }

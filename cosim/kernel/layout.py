@@ -90,7 +90,7 @@ class Transfer(ctypes.Structure):
         ("type", c_int32),
         ("n_references", c_int32),
         ("n_values", c_int32),
-        ("reserved", c_int32),
+        ("begin", c_int32),
         ("references", c_void_p),
         ("positions", c_void_p),
         ("buffer", c_void_p),

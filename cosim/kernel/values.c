@@ -100,24 +100,56 @@ static bool set_by_type(Agent *agent, const Transfer *transfer, const double *so
     return false;
 }
 
-static bool outputs_are_finite(Agent *agent, int32_t index) {
+static bool not_finite(Agent *agent, int32_t index, int32_t i) {
+    return fail(agent, (Failure){.reason = OUTPUT_NOT_FINITE,
+                                 .component = agent->transfers[index].component,
+                                 .transfer = index,
+                                 .index = i});
+}
+
+static bool get(Agent *agent, int32_t index) {
     const Transfer *transfer = &agent->transfers[index];
+    if (!get_by_type(agent, transfer)) return false;
     for (int32_t i = 0; i < transfer->n_values; i++)
-        if (!isfinite(agent->signals[transfer->positions[i]]))
-            return fail(agent, (Failure){.reason = OUTPUT_NOT_FINITE,
-                                         .component = transfer->component,
-                                         .transfer = index,
-                                         .index = i});
+        if (!isfinite(agent->signals[transfer->positions[i]])) return not_finite(agent, index, i);
     return true;
+}
+
+/* Doubles that lie one by one among the signals, as most do: the component reads and writes them in their place. */
+static bool get_in_place(Agent *agent, int32_t index) {
+    const Transfer *transfer = &agent->transfers[index];
+    const Component *component = &agent->components[transfer->component];
+    Function f = component->functions[GET_VALUES + FLOAT64];
+    size_t n = (size_t)transfer->n_references, n_values = (size_t)transfer->n_values;
+    double *values = agent->signals + transfer->begin;
+    int status = component->fmi == 3
+                     ? (int)((fmi3GetFloat64TYPE *)f)(component->instance, transfer->references, n, values, n_values)
+                     : (int)((fmi2GetRealTYPE *)f)(component->instance, transfer->references, n, values);
+    if (!check(agent, transfer->component, GET_VALUES + FLOAT64, status)) return false;
+    for (int32_t i = 0; i < transfer->n_values; i++)
+        if (!isfinite(values[i])) return not_finite(agent, index, i);
+    return true;
+}
+
+static bool set_in_place(Agent *agent, const Transfer *transfer, const double *source) {
+    const Component *component = &agent->components[transfer->component];
+    Function f = component->functions[SET_VALUES + FLOAT64];
+    size_t n = (size_t)transfer->n_references, n_values = (size_t)transfer->n_values;
+    const double *values = source + transfer->begin;
+    int status = component->fmi == 3
+                     ? (int)((fmi3SetFloat64TYPE *)f)(component->instance, transfer->references, n, values, n_values)
+                     : (int)((fmi2SetRealTYPE *)f)(component->instance, transfer->references, n, values);
+    return check(agent, transfer->component, SET_VALUES + FLOAT64, status);
 }
 
 bool carry_out(Agent *agent, Transfers transfers, const double *source) {
     for (int32_t i = transfers.first; i < transfers.last; i++) {
         const Transfer *transfer = &agent->transfers[i];
+        bool in_place = transfer->type == FLOAT64 && transfer->begin >= 0;
         if (transfer->to_component) {
-            if (!set_by_type(agent, transfer, source)) return false;
+            if (!(in_place ? set_in_place(agent, transfer, source) : set_by_type(agent, transfer, source))) return false;
         } else {
-            if (!get_by_type(agent, transfer) || !outputs_are_finite(agent, i)) return false;
+            if (!(in_place ? get_in_place(agent, i) : get(agent, i))) return false;
         }
     }
     return true;
