@@ -263,6 +263,14 @@ def _add_channel(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="a shipped profile such as wifi_busy; a profile's file; SCENARIO:CHANNEL, such as mixed_network:bursts, "
         "with the edges of the run; or a channel as in a scenario, such as '{model: netem, delay: 20 ms, loss: 2 %%}'",
     )
+    channel.add_argument(
+        "--fit", type=Path, metavar="LOG", help="make a profile from a measured log: CSV, or what ping prints"
+    )
+    channel.add_argument(
+        "--round-trip",
+        action="store_true",
+        help="the delays of the log are there and back, as ping's are by themselves",
+    )
     channel.add_argument("--list", action="store_true", help="show the shipped profiles")
     played = channel.add_argument_group("how it is played (default: as in the scenario, where there is one)")
     played.add_argument("--ticks", type=int, metavar="N", help="messages per edge (default: 10000)")

@@ -5,20 +5,23 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cosim.channel import subject as subjects
-from cosim.channel.playing import Played
+from cosim.channel.playing import play
 from cosim.channel.stating import stated
 from cosim.channel.subject import Subject, Wanted
 from cosim.errors import ConfigError, Problem
-from cosim.recording.manifest import command_line, versions
+from cosim.recording.manifest import command_line, folder_problem, versions, write_atomically
 from cosim.reporting import network, page
 from cosim.reporting.edges import Edges
 from cosim.reporting.words import Rows
 from cosim.scenario.source import dump
 from cosim.stopping import StopRequest
 from network.units import format_duration
+
+if TYPE_CHECKING:
+    from cosim.channel.fit import Fitted
 
 PAGE = "channel.html"
 FOLDER = Path("runs") / "channels"
@@ -32,13 +35,15 @@ def main(args: argparse.Namespace) -> int:
     """
     if args.list:
         return _list()
+    if args.fit is not None:
+        return _fit(args)
     if args.profile is None:
         raise ConfigError([Problem("name a profile, such as wifi_busy; cosim channel --list shows them")])
     stop = StopRequest()
     with stop.listening():
         wanted = Wanted(args.ticks, args.edges, args.period, args.seed, args.size)
         subject = subjects.find(args.profile, wanted)
-        edges = Edges(Played(subject))
+        edges = Edges(play(subject))
         _print_table(subject, edges)
         if not args.report:
             return 0
@@ -57,6 +62,30 @@ def _list() -> int:
     for name in names:
         profile = profiles.load(profiles.find(name, Path()))
         print(f"{name:{width}}  {profile.title}")
+    return 0
+
+
+def _fit(args: argparse.Namespace) -> int:
+    from cosim.channel import fit, measured
+
+    if args.profile is not None:
+        raise ConfigError([Problem("give a PROFILE to play, or a log to --fit, not both")])
+    path = args.fit
+    stop = StopRequest()
+    with stop.listening():
+        fitted = fit.fit(measured.read(path, round_trip=args.round_trip), path)
+        _print_fit(path, fitted)
+        folder = args.out or FOLDER / path.stem
+        profile = folder / f"{path.stem}.yaml"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            write_atomically(profile, _profile_text(path, fitted))
+        except OSError as error:
+            raise folder_problem(Path(error.filename or folder), f"cannot be written: {error.strerror}") from None
+        drawn = _draw_fit(path, fitted, folder, stop) if args.report else profile
+    if drawn is None:
+        return stop.exit_code
+    print(f"\n{profile}" + (f"\n{drawn}" if args.report else ""))
     return 0
 
 
@@ -96,6 +125,20 @@ def in_one_line(tree: Any) -> str:
     return dump(tree).removesuffix("...\n").strip()
 
 
+def _print_fit(path: Path, fitted: Fitted) -> None:
+    from cosim.channel import fit
+
+    losses = [(name, f"{said}; AIC {aic}, BIC {bic}") for name, said, aic, bic in fit.loss_rows(fitted)]
+    delays = [(name, f"{said}; AIC {aic}, BIC {bic}") for name, said, aic, bic in fit.delay_rows(fitted)]
+    parts = [("Delays, by maximum likelihood", delays), ("How well it fits", fit.goodness(fitted))]
+    if losses:
+        parts.insert(0, ("Losses, by maximum likelihood", losses))
+    channel = [("Channel", in_one_line(fitted.model.as_written()))]
+    print(path.name)
+    for line in sections((("", fit.summary(fitted)), *parts, ("The profile", channel))):
+        print(line)
+
+
 # --- a page -----------------------------------------------------------------------------------------------------------
 def draw(subject: Subject, edges: Edges, folder: Path, stop_requested: StopRequest) -> Path | None:
     """The page and its figures; None if it was stopped before they were there.
@@ -116,6 +159,33 @@ def draw(subject: Subject, edges: Edges, folder: Path, stop_requested: StopReque
     )
 
 
+def _profile_text(path: Path, fitted: Fitted) -> str:
+    """A profile's file."""
+    log = fitted.log
+    source = f"Fitted by maximum likelihood to {path.name}: {len(log.delay)} messages"
+    source += ", round trips, each way half of the delay and all of the losses" if log.round_trip else ""
+    return dump({"title": path.stem, "source": f"{source}.", "channel": fitted.model.as_written()})
+
+
+def _draw_fit(path: Path, fitted: Fitted, folder: Path, stop_requested: StopRequest) -> Path | None:
+    from cosim.channel import fit
+    from cosim.reporting.figures import FITTED
+
+    def facts() -> dict[str, Any]:
+        return {
+            "title": f"{path.name}, and a profile that fits",
+            "profile": _profile_text(path, fitted),
+            "summary": fit.summary(fitted),
+            "goodness": fit.goodness(fitted),
+            "delays": fit.delay_rows(fitted),
+            "losses": fit.loss_rows(fitted),
+            "comparison": fit.comparison(fitted),
+            "provenance": _provenance(),
+        }
+
+    return page.write(folder / "fit.html", "fit.html.jinja", FITTED, fitted, facts, stop_requested=stop_requested)
+
+
 def _facts(subject: Subject, edges: Edges) -> dict[str, Any]:
     several = len(edges) > 1
     return {
@@ -128,8 +198,12 @@ def _facts(subject: Subject, edges: Edges) -> dict[str, Any]:
         "measures": network.measures(edges),
         "freshness": network.freshness_table(edges) if several else None,
         "traffic": network.traffic_table(edges) if several else None,
-        "provenance": [
-            ("Command", " ".join(command_line())),
-            ("Versions", ", ".join(f"{name} {version}" for name, version in versions().items())),
-        ],
+        "provenance": _provenance(),
     }
+
+
+def _provenance() -> Rows:
+    return [
+        ("Command", " ".join(command_line())),
+        ("Versions", ", ".join(f"{name} {version}" for name, version in versions().items())),
+    ]

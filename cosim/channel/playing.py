@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,39 +17,32 @@ from network.units import to_seconds
 _COLUMNS = ("sender", "receiver", "stamp", "sent", "arrival_ns", "fate")
 
 
-class Played:
-    """What became of the messages; a `cosim.reporting.edges.Logged`, as the results of a run are.
+@dataclass(frozen=True)
+class Alone:
+    """What became of the messages of one channel: a `cosim.reporting.edges.Logged`, as the results of a run are.
 
-    Args:
-        subject: that is played.
-
-    Raises:
-        ConfigError: the channel cannot serve these edges.
+    Attributes:
+        name: of the channel.
+        ticks: at which messages left.
+        bound_ns: on the age at ticks; None if there is none.
     """
 
-    def __init__(self, subject: Subject) -> None:
-        self.subject = subject
-        self.fates = _play(subject)
+    name: str
+    links: Links
+    period_ns: int
+    ticks: int
+    fates: Fates
+    bound_ns: int | None
 
     @property
     def agents(self) -> tuple[str, ...]:
         """Names."""
-        return self.subject.links.agents
-
-    @property
-    def links(self) -> Links:
-        """The edges."""
-        return self.subject.links
-
-    @property
-    def period_ns(self) -> int:
-        """T."""
-        return self.subject.period_ns
+        return self.links.agents
 
     @property
     def n_ticks(self) -> int:
-        """One more than those at which messages left, as a run records."""
-        return self.subject.n_ticks + 1
+        """One more, as a run records."""
+        return self.ticks + 1
 
     @property
     def analysis(self) -> Mapping[str, Any]:
@@ -66,23 +60,28 @@ class Played:
 
     def channel(self, link: int) -> str:  # noqa: ARG002 - all edges have one
         """Its name."""
-        return self.subject.name
+        return self.name
 
     def age_bound(self, link: int) -> float | None:  # noqa: ARG002
         """In seconds, read at ticks; None without bound."""
-        bound = self.subject.model.age_bound_ns(self.subject.period_ns)
-        return None if bound is None else to_seconds(bound)
+        return None if self.bound_ns is None else to_seconds(self.bound_ns)
 
 
-def _play(subject: Subject) -> Fates:
+def play(subject: Subject) -> Alone:
+    """What becomes of the messages.
+
+    Raises:
+        ConfigError: the channel cannot serve these edges.
+    """
     links, layout = subject.links, MessageLayout(("value",), (subject.size // 8,))
+    channels, names = {"all": subject.model}, ["all"] * len(links)
     try:
-        emulator = Emulator(
-            links, {"all": subject.model}, ["all"] * len(links), layout, subject.seed, subject.period_ns
-        )
+        emulator = Emulator(links, channels, names, layout, subject.seed, subject.period_ns)
     except ValueError as error:  # as of a replay without these edges
         raise ConfigError([Problem(f"{subject.name} cannot be played on these edges: {error}")]) from None
     values = np.zeros((len(links.agents), layout.width))
-    fates = [emulator.emulate(tick, values).fates for tick in range(subject.n_ticks)]
-    fates.append(emulator.finish())
-    return Fates(*(np.concatenate([getattr(part, name) for part in fates]) for name in _COLUMNS))
+    parts = [emulator.emulate(tick, values).fates for tick in range(subject.n_ticks)]
+    parts.append(emulator.finish())
+    fates = Fates(*(np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS))
+    bound = subject.model.age_bound_ns(subject.period_ns)
+    return Alone(subject.name, links, subject.period_ns, subject.n_ticks, fates, bound)

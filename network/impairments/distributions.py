@@ -22,7 +22,8 @@ Name = Literal["uniform", "normal", "pareto", "paretonormal", "lognormal", "gamm
 TABLE_SCALE = 8192
 """One jitter in a table of iproute2's."""
 _MOST_ENTRIES = 1 << 20
-_CUT = 4.0  # jitters
+CUT = 4.0
+"""Jitters above `time` at which `pareto` ends."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class Quantile:
 
 def support(name: Name) -> tuple[float, float]:
     """Lowest and highest value in jitters above `time`; infinite where there is no bound."""
-    bounds = {"uniform": (-1.0, 1.0), "pareto": (-2 / 3, _CUT)}
+    bounds = {"uniform": (-1.0, 1.0), "pareto": (-2 / 3, CUT)}
     return bounds.get(name, (-math.inf, math.inf))
 
 
@@ -104,7 +105,7 @@ def _uniform(u: Floats) -> Floats:
 
 
 def _pareto(u: Floats) -> Floats:
-    return np.minimum(4 / 3 * ((1 - u) ** (-1 / 3) - 1.5), _CUT)
+    return np.minimum(4 / 3 * ((1 - u) ** (-1 / 3) - 1.5), CUT)
 
 
 def _paretonormal(u: Floats) -> Floats:

@@ -8,7 +8,7 @@ import pytest
 from cosim import cli
 from cosim.channel import subject as subjects
 from cosim.channel.command import in_one_line
-from cosim.channel.playing import Played
+from cosim.channel.playing import play
 from cosim.channel.subject import Wanted
 from cosim.planning import load as plan_of
 from cosim.reporting import network
@@ -50,7 +50,7 @@ def test_a_scenario_s_channel_fares_as_in_the_run(channel: str) -> None:
     pairs = {(plan.links.agents[plan.links.sender[i]], plan.links.agents[plan.links.receiver[i]]) for i in chosen}
     expected = {row for row in rows_of(fates, plan.links.agents) if row[:2] in pairs}
     assert len(expected) > 100
-    assert rows_of(Played(subject).fates, subject.links.agents) == expected
+    assert rows_of(play(subject).fates, subject.links.agents) == expected
 
 
 def test_the_table_says_what_is_stated_and_what_was_found(capsys: pytest.CaptureFixture[str]) -> None:
@@ -65,7 +65,7 @@ def test_the_table_says_what_is_stated_and_what_was_found(capsys: pytest.Capture
     assert float(rows["Losses in a row on an edge"].split()[1].rstrip(",")) == pytest.approx(5, abs=0.2)
     assert rows["One-way delay"] == "median 0.04 s, 95 % 0.04 s, 99 % 0.04 s, largest 0.04 s"
     subject = subjects.find("{model: netem, delay: 40 ms, loss: {gemodel: [2 %, 20 %]}}", Wanted(edges=20))
-    for label, value in network.measures(Edges(Played(subject))):
+    for label, value in network.measures(Edges(play(subject))):
         assert rows[label] == value
 
 

@@ -13,6 +13,7 @@ from cosim.reporting.figures.age import draw_age
 from cosim.reporting.figures.channel import draw_channel
 from cosim.reporting.figures.delays import draw_delays
 from cosim.reporting.figures.disagreement import draw_disagreement
+from cosim.reporting.figures.fit import Compared, draw_fitted_delays, draw_fitted_losses, draw_log
 from cosim.reporting.figures.front import draw_front
 from cosim.reporting.figures.graph import draw_graph
 from cosim.reporting.figures.heat import draw_heat
@@ -62,6 +63,13 @@ _NETWORK = (
 CHANNEL = (_TIMELINE, _AGE, *_NETWORK)
 """Of a channel that is played alone."""
 
+FITTED: tuple[Entry[Compared], ...] = (
+    Entry("log", "The log", draw_log),
+    Entry("delays", "One-way delay", draw_fitted_delays),
+    Entry("losses", "Losses in a row", draw_fitted_losses),
+)
+"""Of a log and the profile that was fitted to it."""
+
 FIGURES: tuple[Entry[Scene], ...] = (
     Entry("graph", "Interconnection graph", draw_graph),
     Entry("channel", "Input and output of a communication channel", draw_channel),
@@ -80,4 +88,4 @@ def figures_of(results: Results) -> tuple[Entry[Scene], ...]:
     return FIGURES if results.realtime is None else FIGURES + PACED
 
 
-__all__ = ["CHANNEL", "FIGURES", "HEAT", "PACED", "Entry", "NotDrawn", "Scene", "figures_of"]
+__all__ = ["CHANNEL", "FIGURES", "FITTED", "HEAT", "PACED", "Entry", "NotDrawn", "Scene", "figures_of"]

@@ -53,10 +53,10 @@ def draw_survival(axes: Axes, runs: Ints, colour: object) -> object:
     )[0]
 
 
-def draw_geometric(axes: Axes, share: float, longest: int) -> object:
+def draw_geometric(axes: Axes, share: float, longest: int, colour: str = style.INK) -> object:
     """Runs of independent losses: each goes on with the probability of a loss."""
     lengths = np.arange(1, max(longest, 2) + 1)
-    (line,) = axes.plot(lengths, share ** (lengths - 1.0), color=style.INK, linewidth=0.8, linestyle=(0, (4, 2)))
+    (line,) = axes.plot(lengths, share ** (lengths - 1.0), color=colour, linewidth=0.8, linestyle=(0, (4, 2)))
     return line
 
 

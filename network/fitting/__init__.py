@@ -1,0 +1,1 @@
+"""Channel parameters from a measured log, by maximum likelihood."""
