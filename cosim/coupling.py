@@ -27,13 +27,14 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim import algebraic
 from cosim.components.component import Component, Floats
 from cosim.crossings import STATE_EVENTS_PER_STEP, bracket, chattering, crossed, first_crossing
 from cosim.errors import ComponentError
 from cosim.mailbox import Updates
 from cosim.memory import LoopState
 from cosim.plan import CouplingPlan, Integrator, Method
-from cosim.wiring import Direction, Transfer, Wiring, takes_in_event_mode
+from cosim.wiring import AlgebraicLoop, Direction, Transfer, Wiring, takes_in_event_mode
 from network.units import NANOSECONDS_PER_SECOND, to_seconds
 
 _SET = Direction.SET
@@ -61,6 +62,7 @@ class PythonLoop:
         ends = np.cumsum([0, *(component.n_states for component in components)])
         self._states = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
         self._discrete = [takes_in_event_mode(component, wiring.inputs[c]) for c, component in enumerate(components)]
+        self._propagation = _stretches(wiring.propagate)
         self._n_indicators = sum(component.n_indicators for component in components)
         self._indicators = np.empty(0)
         self._beyond = np.empty(0)
@@ -165,13 +167,13 @@ class PythonLoop:
     def _iterate_events(self) -> None:
         """From Event Mode to Continuous-Time Mode: update discrete states until no connected value changes any more."""
         signals, components = self._state.signals, self._components
-        self._carry_out(self._wiring.propagate)
+        self._propagate()
         for _ in range(EVENT_ITERATIONS):
             for c, component in enumerate(components):
                 event = component.update_discrete_states()
                 self._state.next_event[c] = math.inf if event is None else event
             before = signals.copy()
-            self._carry_out(self._wiring.propagate)
+            self._propagate()
             if np.array_equal(before, signals):
                 break
         else:
@@ -310,7 +312,7 @@ class PythonLoop:
     def _derivatives(self, time: float, x: Floats) -> Floats:
         """Derivatives of all states, with outputs carried to inputs in between."""
         self._place(time, x)
-        self._carry_out(self._wiring.propagate)
+        self._propagate()
         return np.concatenate([component.derivatives() for component in self._components])
 
     def _place(self, time: float, x: Floats) -> None:
@@ -365,7 +367,7 @@ class PythonLoop:
 
     def _indicators_at(self, time: float, x: Floats) -> Floats:
         self._place(time, x)
-        self._carry_out(self._wiring.propagate)
+        self._propagate()
         return self._get_indicators()
 
     def _get_indicators(self) -> Floats:
@@ -462,6 +464,28 @@ class PythonLoop:
             component.enter_step_mode()
 
     # --- transfers --------------------------------------------------------------------------------------------------
+    def _propagate(self) -> None:
+        """Carry outputs to inputs, solving those that feed each other."""
+        for part in self._propagation:
+            if isinstance(part, AlgebraicLoop):
+                self._solve(part)
+            else:
+                self._carry_out(part)
+
+    def _solve(self, loop: AlgebraicLoop) -> None:
+        def outputs(y: Floats) -> Floats:
+            self._signals[loop.positions] = y
+            self._carry_out(loop.sets)
+            self._carry_out(loop.gets)
+            return self._signals[loop.positions]
+
+        try:
+            algebraic.solve(outputs, self._signals[loop.positions])
+        except algebraic.UnsolvedError as error:
+            raise ComponentError(
+                self._components[loop.component].name, f"the algebraic loop {loop.names} {error}"
+            ) from None
+
     def _carry_out(self, transfers: Iterable[Transfer], source: Floats | None = None) -> None:
         """Move values; SET reads from `source`, by default the signals."""
         read = self._signals if source is None else source
@@ -478,6 +502,19 @@ class PythonLoop:
                 if zeros.dot(values) != 0.0:  # what is not finite gives NaN; cheaper than to ask for each number
                     raise ComponentError(component.name, f"output {variable.name} is not finite")
                 self._signals[positions] = values
+
+
+def _stretches(parts: Iterable[Transfer | AlgebraicLoop]) -> list[AlgebraicLoop | list[Transfer]]:
+    """The same, transfers that follow each other together."""
+    found: list[AlgebraicLoop | list[Transfer]] = []
+    for part in parts:
+        if isinstance(part, AlgebraicLoop):
+            found.append(part)
+        elif found and isinstance(found[-1], list):
+            found[-1].append(part)
+        else:
+            found.append([part])
+    return found
 
 
 def _combine(weights: Sequence[float], stages: Sequence[NDArray[np.float64]]) -> Floats:

@@ -8,7 +8,7 @@ loops, the Python one and the native one, carry out the same transfers.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
@@ -23,10 +23,11 @@ from cosim.plan import AgentPlan, Method, Port
 from network.messages import NEVER, MessageLayout
 
 Positions = NDArray[np.int32]
+_Key = tuple[int, str, str | None]
 
 
 class AlgebraicLoopError(ValueError):
-    """Outputs and inputs feed each other directly, with no state in between."""
+    """Outputs and inputs feed each other directly, with no state in between, and cannot be solved."""
 
 
 class Direction(IntEnum):
@@ -78,6 +79,25 @@ class Part(NamedTuple):
 
 
 @dataclass(frozen=True)
+class AlgebraicLoop:
+    """An algebraic loop: outputs that feed each other directly.
+
+    Attributes:
+        names: `first.y -> second.y -> first.y`: each depends directly on the one before it.
+        component: that of the first of them.
+        sets: SET of every input that the outputs feed.
+        gets: GET of the outputs.
+        positions: of the outputs in the signals.
+    """
+
+    names: str
+    component: int
+    sets: tuple[Transfer, ...]
+    gets: tuple[Transfer, ...]
+    positions: Positions
+
+
+@dataclass(frozen=True)
 class MailboxLayout:
     """Where the mailbox lies in the signals, for n in-neighbours and messages of `width` numbers.
 
@@ -107,8 +127,9 @@ class Wiring:
         mailbox: its place.
         external: of each value from outside, its place.
         held: GET of arrays of which only some elements are fed: the others keep what they have at the start.
-        propagate: outputs to inputs, ordered so that every output is read after the inputs that feed through to it.
-            Empty unless the coupling is `joint`, the only one that evaluates outputs between steps.
+        propagate: outputs to inputs, ordered so that every output is read after the inputs that feed through to it;
+            outputs that feed each other are solved together. Empty unless the coupling is `joint`, the only one that
+            evaluates outputs between steps.
         outputs: per component, GET of every output that some input is connected to.
         inputs: per component, SET of every connected input.
         listen: SET of every input that the mailbox or the outside feeds.
@@ -121,13 +142,18 @@ class Wiring:
     mailbox: MailboxLayout
     external: tuple[Positions, ...]
     held: tuple[Transfer, ...]
-    propagate: tuple[Transfer, ...]
+    propagate: tuple[Transfer | AlgebraicLoop, ...]
     outputs: tuple[tuple[Transfer, ...], ...]
     inputs: tuple[tuple[Transfer, ...], ...]
     listen: tuple[Transfer, ...]
     sample: tuple[Transfer, ...]
     published: Positions
     recorded: Positions
+
+    @property
+    def loops(self) -> tuple[AlgebraicLoop, ...]:
+        """The algebraic loops among what is propagated."""
+        return tuple(part for part in self.propagate if isinstance(part, AlgebraicLoop))
 
     def fill(self, signals: NDArray[np.float64], plan: AgentPlan) -> None:
         """At the start: no neighbour heard yet; weights, and values from outside, in place; all else stays zero."""
@@ -141,7 +167,8 @@ def wire(plan: AgentPlan, layout: MessageLayout) -> Wiring:
     """The wiring of an agent.
 
     Raises:
-        AlgebraicLoopError: `joint`, and direct feedthrough closes a loop; the message names the variables in it.
+        AlgebraicLoopError: `joint`, and direct feedthrough closes a loop through outputs that are no real numbers; the
+            message names the variables in it.
     """
     connected = _unique(connection.source for connection in plan.connections)
     sampled = _unique([*plan.publish, *(port for _, port in plan.record)])
@@ -216,7 +243,7 @@ def _as_slice(positions: Positions) -> Positions | slice:
     return positions
 
 
-def _key(port: Port) -> tuple[int, str, str | None]:
+def _key(port: Port) -> _Key:
     """A variable may be published in another unit than it has inside the agent."""
     return port.component, port.variable.name, port.variable.unit
 
@@ -259,8 +286,8 @@ class _Places:
 
     def __init__(self) -> None:
         self.owner: list[int] = []
-        self._of: dict[tuple[int, str, str | None], Positions] = {}
-        self._moves: dict[tuple[int, str, str | None], list[_Move]] = {}
+        self._of: dict[_Key, Positions] = {}
+        self._moves: dict[_Key, list[_Move]] = {}
 
     @property
     def n(self) -> int:
@@ -376,32 +403,68 @@ def _heard(
     return [(port, positions) for port, positions in feeds if positions.size]
 
 
-def _propagation(plan: AgentPlan, places: _Places, inputs: _Inputs) -> tuple[Transfer, ...]:
-    """Kahn's algorithm over outputs: read all outputs whose feeding inputs are set, set what they feed, repeat."""
+def _propagation(plan: AgentPlan, places: _Places, inputs: _Inputs) -> tuple[Transfer | AlgebraicLoop, ...]:
+    """Kahn's algorithm over outputs: read all outputs whose feeding inputs are set, set what they feed, repeat.
+
+    Where none is left of these, some feed each other: such a loop is solved as a whole, and counts as read.
+    """
     source_of = {_target(x.target): _key(x.source) for x in plan.connections}
     waiting = _unique(connection.source for connection in plan.connections)
-    done: set[tuple[int, str, str | None]] = set()
-    transfers: list[Transfer] = []
+    done: set[_Key] = set()
+    parts: list[Transfer | AlgebraicLoop] = []
     components = range(len(plan.components))
-    while waiting:
-        ready = [port for port in waiting if all(key in done for key in _feeding(plan, port, source_of))]
-        if not ready:
-            raise AlgebraicLoopError(_loop_message(plan, waiting, done, source_of))
+
+    def gets(ports: Sequence[Port]) -> Iterator[Transfer]:
         for c in components:
-            transfers += places.gets([port for port in ready if port.component == c])
-        now = {_key(port) for port in ready}
+            yield from places.gets([port for port in ports if port.component == c])
+
+    def sets(sources: Container[_Key]) -> Iterator[Transfer]:
         for c in components:
-            transfers += inputs.sets(
-                x.target for x in plan.connections if x.target.component == c and _key(x.source) in now
+            yield from inputs.sets(
+                x.target for x in plan.connections if x.target.component == c and _key(x.source) in sources
             )
-        done |= now
-        waiting = [port for port in waiting if _key(port) not in now]
-    return tuple(transfers)
+
+    while waiting:
+        feeding = {_key(port): [key for key in _feeding(plan, port, source_of) if key not in done] for port in waiting}
+        ready = [port for port in waiting if not feeding[_key(port)]]
+        if ready:
+            parts += gets(ready)
+            parts += sets({_key(port) for port in ready})
+        else:
+            members = _first_loop(feeding)
+            ready = [port for port in waiting if _key(port) in members]
+            names = _loop_names(plan, feeding, members)
+            if any(not port.variable.dtype.startswith("Float") for port in ready):
+                raise AlgebraicLoopError(
+                    f"an algebraic loop: {names}; each of these outputs depends directly on the one before it, and not "
+                    "all of them are real numbers, so that it cannot be solved. Use `coupling: {method: midpoint}`, or "
+                    "break the loop with a component that has a state"
+                )
+            positions = _concatenate(places.of(port) for port in ready)
+            parts.append(AlgebraicLoop(names, ready[0].component, tuple(sets(members)), tuple(gets(ready)), positions))
+        done |= {_key(port) for port in ready}
+        waiting = [port for port in waiting if _key(port) not in done]
+    return tuple(parts)
 
 
-def _feeding(
-    plan: AgentPlan, port: Port, source_of: dict[tuple[int, str], tuple[int, str, str | None]]
-) -> list[tuple[int, str, str | None]]:
+def _first_loop(feeding: Mapping[_Key, Sequence[_Key]]) -> frozenset[_Key]:
+    """Outputs that all feed each other, if only through others, and that nothing else still waiting feeds."""
+    reached = {key: _reached(feeding, key) for key in feeding}
+    return min((others for key, others in reached.items() if key in others), key=len)
+
+
+def _reached(feeding: Mapping[_Key, Sequence[_Key]], key: _Key) -> frozenset[_Key]:
+    """What feeds an output, directly or not."""
+    found: set[_Key] = set()
+    ahead = list(feeding[key])
+    while ahead:
+        if (other := ahead.pop()) not in found:
+            found.add(other)
+            ahead += feeding[other]
+    return frozenset(found)
+
+
+def _feeding(plan: AgentPlan, port: Port, source_of: dict[tuple[int, str], _Key]) -> list[_Key]:
     """The outputs that feed, through one connected input, straight through to this output."""
     inputs = port.variable.dependencies
     if inputs is None:  # the component does not say: assume all of them
@@ -410,20 +473,10 @@ def _feeding(
     return [source_of[key] for key in keys if key in source_of]
 
 
-def _loop_message(
-    plan: AgentPlan,
-    waiting: Sequence[Port],
-    done: set[tuple[int, str, str | None]],
-    source_of: dict[tuple[int, str], tuple[int, str, str | None]],
-) -> str:
-    """Follow the unmet dependencies from any waiting output until one repeats: that is a loop."""
-    by_key = {_key(port): port for port in waiting}
-    path = [_key(waiting[0])]
+def _loop_names(plan: AgentPlan, feeding: Mapping[_Key, Sequence[_Key]], members: Container[_Key]) -> str:
+    """Follow what feeds an output of a loop until one repeats."""
+    path = [next(key for key in feeding if key in members)]
     while path[-1] not in path[:-1]:
-        path.append(next(key for key in _feeding(plan, by_key[path[-1]], source_of) if key not in done))
+        path.append(next(key for key in feeding[path[-1]] if key in members))
     loop = path[path.index(path[-1]) :]
-    names = [f"{plan.components[c].name}.{name}" for c, name, _ in reversed(loop)]
-    return (
-        f"an algebraic loop: {' -> '.join(names)}; each of these outputs depends directly on the one before it. "
-        "Use `coupling: {method: midpoint}`, or break the loop with a component that has a state"
-    )
+    return " -> ".join(f"{plan.components[c].name}.{name}" for c, name, _ in reversed(loop))

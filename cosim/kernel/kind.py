@@ -15,7 +15,7 @@ from cosim.errors import ComponentError, ConfigError, Problem
 from cosim.kernel import layout
 from cosim.kernel.layout import Reason
 from cosim.plan import CouplingPlan
-from cosim.wiring import takes_in_event_mode
+from cosim.wiring import Transfer, takes_in_event_mode
 
 if TYPE_CHECKING:
     from cosim.components.fmu import FmuComponent, Native
@@ -36,6 +36,9 @@ class Kind:
 
     def __init__(self, wiring: Wiring, components: Sequence[Component], coupling: CouplingPlan) -> None:
         fmus = only_fmus(components)
+        if wiring.loops:
+            message = f"the native loop solves no algebraic loop: {wiring.loops[0].names}"
+            raise ConfigError([Problem(f"{message}; write `coupling: {{loop: python}}`")])
         self._wiring = wiring
         self._calls = [_Calls(component) for component in fmus]
         self._transfers = _TransferTable(self._calls)
@@ -50,7 +53,7 @@ class Kind:
             n_indicators=n_indicators,
             width=wiring.mailbox.values.shape[1],
             grid=coupling.grid,
-            propagate=self._transfers.add(wiring.propagate),
+            propagate=self._transfers.add([part for part in wiring.propagate if isinstance(part, Transfer)]),
             listen=self._transfers.add(wiring.listen),
             sample=self._transfers.add(wiring.sample),
             outputs=self._keep((layout.Transfers * n)(*map(self._transfers.add, wiring.outputs))),

@@ -6,17 +6,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cosim.components.component import Value, Variable
 from cosim.components.presented import in_unit_of
 from cosim.errors import ConfigError, Problem
-from cosim.plan import AgentPlan, AnalysisPlan, ComponentPlan, MailboxPlan, Method, Plan, Port
+from cosim.plan import AgentPlan, AnalysisPlan, ComponentPlan, CouplingPlan, MailboxPlan, Method, Plan, Port
 from cosim.planning.analysis import Member, plan_analysis
 from cosim.planning.blueprint import Blueprint, Part, draw_up
 from cosim.planning.bridge import Bridged, missing_replay, plan_bridge
-from cosim.planning.coupling import warn_of_order
+from cosim.planning.coupling import solving, warn_of_order
 from cosim.planning.describing import Describer
 from cosim.planning.division import plan_workers
 from cosim.planning.graph import Edge, links_of, resolve_edges
@@ -104,7 +104,7 @@ def plan(scenario: Scenario, located: Mapping[str, Path] | None = None) -> Plann
     warn_of_silence(scenario, edges, analysis, problems)
     layout = MessageLayout(tuple(message), tuple(variable.size for variable in message.values() if variable))
     agents = tuple(_agents(members, blueprints, mailboxes, bridged, edges, message))
-    _check_feedthrough(agents, blueprints, layout, problems)
+    agents = _with_loops(agents, blueprints, layout, problems)
     problems.raise_if_any()
     used = {edge.channel for edge in edges}
     planned = Plan(
@@ -271,17 +271,29 @@ def _starts(part: Part, agents: Sequence[str], seed: int) -> list[dict[str, tupl
     return [{name: values[i] for name, values in drawn.items()} for i in range(len(agents))]
 
 
-def _check_feedthrough(
+def _with_loops(
     agents: Iterable[AgentPlan], blueprints: Mapping[str, Blueprint], layout: MessageLayout, problems: Problems
-) -> None:
-    """`joint` cannot have outputs and inputs that feed each other directly; `midpoint` wants them in order."""
-    firsts = {id(blueprints[agent.name]): agent for agent in reversed(list(agents))}
-    for agent in firsts.values():
-        where = blueprints[agent.name].where("connections")
-        if agent.coupling.method is Method.MIDPOINT:
-            warn_of_order(agent, where, problems)
-        elif agent.coupling.method is Method.JOINT:
-            try:
-                wire(agent, layout)
-            except AlgebraicLoopError as error:
-                problems.error(str(error), where)
+) -> tuple[AgentPlan, ...]:
+    """The agents, those with outputs that feed each other directly in the loop that can solve them.
+
+    `joint` solves such loops, and says so; `midpoint` wants outputs in the order in which they feed through.
+    """
+    known: dict[int, CouplingPlan] = {}
+    found = []
+    for agent in agents:
+        blueprint = blueprints[agent.name]
+        if id(blueprint) not in known:
+            where = blueprint.where("connections")
+            known[id(blueprint)] = agent.coupling
+            if agent.coupling.method is Method.MIDPOINT:
+                warn_of_order(agent, where, problems)
+            elif agent.coupling.method is Method.JOINT:
+                try:
+                    loops = wire(agent, layout).loops
+                except AlgebraicLoopError as error:
+                    problems.error(str(error), where)
+                else:
+                    known[id(blueprint)] = solving(blueprint.entry, agent.coupling, loops, where, problems)
+        coupling = known[id(blueprint)]
+        found.append(agent if coupling is agent.coupling else replace(agent, coupling=coupling))
+    return tuple(found)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
+from dataclasses import replace
 
 from cosim.components.component import Description, Interface
 from cosim.errors import Location
@@ -12,6 +13,7 @@ from cosim.planning.steps import choose_step, own_steps
 from cosim.scenario.reading import AgentEntry
 from cosim.scenario.source import Node
 from cosim.scenario.spec import CouplingSpec
+from cosim.wiring import AlgebraicLoop
 
 
 def choose_coupling(
@@ -81,6 +83,24 @@ def warn_of_order(agent: AgentPlan, where: Location, problems: Problems) -> None
                     f"list {first!r} before {second!r}",
                     where,
                 )
+
+
+def solving(
+    entry: AgentEntry, coupling: CouplingPlan, loops: Sequence[AlgebraicLoop], where: Location, problems: Problems
+) -> CouplingPlan:
+    """The coupling of an agent with these algebraic loops: the Python loop solves them."""
+    if not loops:
+        return coupling
+    names = "; ".join(loop.names for loop in loops)
+    if entry.spec.coupling.loop == "native":
+        message = f"the native loop solves no algebraic loop: {names}; leave 'loop' out"
+        problems.error(message, entry.node.locate("coupling", "loop"))
+    problems.warning(
+        f"an algebraic loop: {names}; each of these outputs depends directly on the one before it. Newton's method "
+        "solves it at every evaluation, in Python; a component with a state breaks it, or the coupling 'midpoint'",
+        where,
+    )
+    return replace(coupling, loop=Loop.PYTHON)
 
 
 def _in_python(

@@ -1,0 +1,157 @@
+"""Algebraic loops: what Newton's method finds, and agents whose outputs feed each other directly."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cosim.algebraic import UnsolvedError, solve
+from cosim.components.component import Floats
+from cosim.components.python import Input, Output, Parameter, PythonComponent, State
+from cosim.plan import Loop
+from tests.components.probe import probe_library, probes
+from tests.distributed.networks import in_process, planned
+
+__all__ = ["probe_library", "probes"]
+
+
+class Store(PythonComponent):
+    """x' = -y, and y = x + gain z feeds through."""
+
+    gain = Parameter(0.5)
+    z = Input()
+    x = State(1.0)
+    y = Output(depends_on=("z",))
+
+    def outputs(self, time: float) -> None:
+        self.y = self.x + self.gain * self.z
+
+    def derivatives(self, time: float) -> Mapping[str, Any]:
+        return {"x": -self.y}
+
+
+class Curve(PythonComponent):
+    """z = u + bend u^2."""
+
+    slope = Parameter(0.6)
+    bend = Parameter(0.0)
+    u = Input()
+    z = Output(depends_on=("u",))
+
+    def outputs(self, time: float) -> None:
+        self.z = self.slope * self.u + self.bend * self.u * self.u
+
+
+@pytest.fixture(autouse=True)
+def importable(monkeypatch: pytest.MonkeyPatch) -> None:
+    """pytest imports this file under a name of its own."""
+    monkeypatch.setitem(sys.modules, "algebraic_agent", sys.modules[Store.__module__])
+
+
+def scenario(gain: float = 0.5, bend: float = 0.0, integrator: str = "rk4") -> str:
+    return f"""\
+period: 100 ms
+duration: 1 s
+agents:
+  1:
+    components:
+      store: {{python: "algebraic_agent:Store", start: {{gain: {gain}}}}}
+      curve: {{python: "algebraic_agent:Curve", start: {{bend: {bend}}}}}
+    connections: [store.y -> curve.u, curve.z -> store.z]
+    record: [store.x, curve.u]
+coupling: {{method: joint, step: 5 ms, integrator: {integrator}}}
+"""
+
+
+# --- the solver -------------------------------------------------------------------------------------------------------
+numbers = st.floats(-10, 10, allow_nan=False).map(lambda x: round(x, 3))
+
+
+@given(data=st.data(), n=st.integers(1, 6))
+def test_linear_loops_of_any_size(data: st.DataObject, n: int) -> None:
+    matrix = np.array(data.draw(st.lists(numbers, min_size=n * n, max_size=n * n))).reshape(n, n)
+    offset = np.array(data.draw(st.lists(numbers, min_size=n, max_size=n)))
+    if np.linalg.cond(matrix - np.eye(n)) > 1e4:
+        return
+    y = solve(lambda y: matrix @ y + offset, np.zeros(n))
+    assert np.allclose(y, np.linalg.solve(np.eye(n) - matrix, offset), rtol=1e-6, atol=1e-6)
+
+
+def test_a_loop_that_no_iteration_of_its_own_would_settle() -> None:
+    """y = cos(4 y): the iteration y <- G(y) does not converge, its slope is about -3.6."""
+    (y,) = solve(lambda y: np.cos(4.0 * y), np.array([0.3]))
+    assert abs(y - math.cos(4.0 * y)) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("outputs", "said"),
+    [
+        (lambda y: y + 1.0, "has no solution, or more than one"),
+        (lambda y: y * y + 1.0 + y, "is not solved after 20 iterations"),
+    ],
+)
+def test_what_has_no_solution(outputs: Any, said: str) -> None:
+    with pytest.raises(UnsolvedError, match=said):
+        solve(outputs, np.array([0.7]))
+
+
+# --- agents -----------------------------------------------------------------------------------------------------------
+def rows(text: str) -> Floats:
+    record, error = in_process(planned(text))
+    assert error is None
+    return np.array([np.frombuffer(row) for _, row in record.ticks])
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "dormand-prince"])
+def test_a_linear_loop_around_a_state(integrator: str) -> None:
+    """y = x + 0.5 (0.6 y), so y = x / 0.7 and x = exp(-t / 0.7)."""
+    found = rows(scenario(integrator=integrator))
+    exact = np.exp(-np.linspace(0.0, 1.0, 11) / 0.7)
+    assert np.abs(found[:, 0] - exact).max() < 1e-8
+    assert np.abs(found[:, 1] - exact / 0.7).max() < 1e-8
+
+
+def test_a_loop_that_is_not_linear() -> None:
+    """y = x + 0.5 (0.6 y + 0.2 y^2)."""
+    found = rows(scenario(bend=0.2))
+    x, y = found.T
+    assert np.abs(y - (x + 0.3 * y + 0.1 * y * y)).max() < 1e-9
+
+
+def test_it_is_named_in_a_warning_and_runs_in_python() -> None:
+    plan = planned(scenario())
+    assert plan.agents[0].coupling.loop is Loop.PYTHON
+    assert "loop: python" in plan.scenario
+
+
+def test_one_without_a_solution_is_named() -> None:
+    _, error = in_process(planned(scenario(gain=1.0 / 0.6)))
+    assert str(error) == (
+        "agent 1, component store, at t = 0 s: the algebraic loop store.y -> curve.z -> store.y "
+        "has no solution, or more than one"
+    )
+
+
+def test_fmus_in_a_circle(probes: dict[int, Path]) -> None:
+    """Every probe gives what it gets: any value would do, and 0 is where it begins."""
+    text = f"""\
+period: 100 ms
+duration: 300 ms
+agents:
+  1:
+    components: {{one: {{fmu: {probes[3]}}}, two: {{fmu: {probes[2]}}}}}
+    connections: [one.vector_out -> two.vector_in, two.vector_out -> one.vector_in]
+    record: [one.x, two.x]
+coupling: {{method: joint}}
+"""
+    found = rows(text)
+    assert np.all(np.isfinite(found))
+    assert found[:, 0].tolist() == found[:, 1].tolist()
