@@ -112,6 +112,12 @@ class ClusterError(CosimError):
     exit_code = 3
 
 
+class NetworkError(CosimError):
+    """A channel of the user's own failed: which, at which time, and where in its file."""
+
+    exit_code = 3
+
+
 class OverrunError(CosimError):
     """A tick of a paced run was complete only after its deadline, and the run was asked to end then."""
 

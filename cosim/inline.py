@@ -7,10 +7,12 @@ from typing import Protocol
 
 from cosim.agents import Agents
 from cosim.components.component import Floats
+from cosim.errors import NetworkError
 from cosim.logs import NO_LOGS, Logs
 from cosim.master import Emulate, Master
 from cosim.pacing import Pacer
 from cosim.plan import Plan
+from network.channel import ChannelError
 from network.emulator import Emulator
 from network.messages import Fates
 
@@ -61,10 +63,13 @@ def run(  # noqa: PLR0917
         RunError: a component failed.
         Interrupted: `stop_requested` said so.
         OverrunError: the pacer said so.
+        NetworkError: a channel of the user's own failed.
     """
     agents = Agents(plan, logs=logs)
     try:
         _play(plan, agents, observers, stop_requested, pacer, take)
+    except ChannelError as error:
+        raise NetworkError(str(error)) from error
     finally:
         agents.terminate()
 

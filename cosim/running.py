@@ -16,7 +16,7 @@ import numpy as np
 
 from cosim.bridge import Bridge, open_bridge, recorded
 from cosim.components.component import Floats
-from cosim.errors import ClusterError, ConfigError, CosimError, OverrunError, Problem, RunError
+from cosim.errors import ClusterError, ConfigError, CosimError, NetworkError, OverrunError, Problem, RunError
 from cosim.inline import Interrupted, Observer, Take, run
 from cosim.logs import LOG_FOLDER, Logs
 from cosim.native_output import captured
@@ -208,7 +208,7 @@ def _close_after(error: BaseException, recorder: Recorder) -> None:
     reason = str(error) if isinstance(error, CosimError) else f"{type(error).__name__}: {error}"
     with suppress(CosimError):  # the first failure is the one to tell
         recorder.close(f"aborted: {reason.splitlines()[0]}")
-    if isinstance(error, (RunError, ClusterError, OverrunError)):
+    if isinstance(error, (RunError, ClusterError, NetworkError, OverrunError)):
         print(f"everything until then is in {recorder.folder}", file=sys.stderr)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from network.draws import Draws
-from network.messages import Ints, Links
+from network.messages import NEVER, Ints, Links
 
 
 @dataclass(frozen=True)
@@ -150,6 +150,32 @@ class ChannelModel(BaseModel, ABC):
         The age is that of `network.freshness`: at a tick, after what arrives at the tick itself.
         """
         return None
+
+
+class ChannelError(RuntimeError):
+    """A channel of the user's own failed: which, when and where."""
+
+
+def invalid(sent: object, tick: int, n_links: int, history: int) -> str | None:
+    """What is wrong with a channel's answer at a tick; None if nothing is."""
+    if not isinstance(sent, Transmission):
+        return f"it returned a {type(sent).__name__}, no Transmission"
+    columns = {name: getattr(sent, name) for name in ("link", "stamp", "delay_ns", "copy")}
+    for name, column in columns.items():
+        if not isinstance(column, np.ndarray) or column.ndim != 1 or column.dtype != np.int64:
+            kind = f"{column.dtype} array of shape {column.shape}" if isinstance(column, np.ndarray) else repr(column)
+            return f"`{name}` is no flat array of int64, but {kind}"
+    lengths = {name: len(column) for name, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        return "the arrays differ in length: " + ", ".join(f"{name} has {n}" for name, n in lengths.items())
+    oldest = max(0, tick - history)
+    for name, low, high in (("link", 0, n_links - 1), ("stamp", oldest, tick), ("copy", 0, None)):
+        column = columns[name]
+        outside = column[(column < low) | (column > (column if high is None else high))]
+        if len(outside):
+            return f"`{name}` has {outside[0]}; it must be {low} or more" + (f", and {high} at most" if high else "")
+    negative = sent.delay_ns[(sent.delay_ns < 0) & (sent.delay_ns != NEVER)]
+    return f"`delay_ns` has {negative[0]}; it must be 0 or more, or NEVER" if len(negative) else None
 
 
 def ceil_to_tick(time_ns: int, period_ns: int) -> int:

@@ -28,7 +28,7 @@ def read_deliveries(path: Path) -> dict[str, Any]:
         table = pq.read_table(path, columns=list(_COLUMNS))
     except (OSError, pa.ArrowException) as error:
         raise ValueError(f"{path}: this is no deliveries.parquet of a run: {str(error).splitlines()[0]}") from None
-    return {name: np.array(table[name].to_pylist()) for name in _COLUMNS}
+    return {name: table[name].to_numpy() for name in _COLUMNS}
 
 
 class Replay(ChannelModel):

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from cosim.channel.subject import Subject
-from cosim.errors import ConfigError, Problem
+from cosim.errors import ConfigError, NetworkError, Problem
+from network.channel import ChannelError
 from network.emulator import Emulator
 from network.messages import Fates, Links, MessageLayout
 from network.units import to_seconds
@@ -72,6 +73,7 @@ def play(subject: Subject) -> Alone:
 
     Raises:
         ConfigError: the channel cannot serve these edges.
+        NetworkError: it is a class of the user's own, which failed.
     """
     links, layout = subject.links, MessageLayout(("value",), (subject.size // 8,))
     channels, names = {"all": subject.model}, ["all"] * len(links)
@@ -79,8 +81,13 @@ def play(subject: Subject) -> Alone:
         emulator = Emulator(links, channels, names, layout, subject.seed, subject.period_ns)
     except ValueError as error:  # as of a replay without these edges
         raise ConfigError([Problem(f"{subject.name} cannot be played on these edges: {error}")]) from None
+    except ChannelError as error:
+        raise NetworkError(str(error)) from error
     values = np.zeros((len(links.agents), layout.width))
-    parts = [emulator.emulate(tick, values).fates for tick in range(subject.n_ticks)]
+    try:
+        parts = [emulator.emulate(tick, values).fates for tick in range(subject.n_ticks)]
+    except ChannelError as error:
+        raise NetworkError(str(error)) from error
     parts.append(emulator.finish())
     fates = Fates(*(np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS))
     bound = subject.model.age_bound_ns(subject.period_ns)

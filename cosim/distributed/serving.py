@@ -29,6 +29,7 @@ from cosim.distributed.worker import Worker
 from cosim.errors import ClusterError, CosimError
 from cosim.logs import LOG_FOLDER, NO_LOGS, Logs
 from cosim.plan import Plan
+from network.channel import ChannelError
 from network.messages import Ints
 from network.transport import Endpoint, Envelope, Kind, PeerLost, Refused, TransportTimeout, WireError
 
@@ -134,7 +135,7 @@ def serve(
     except PeerLost:
         raise
     except Exception as error:
-        if isinstance(error, (CosimError, WireError, OSError)):
+        if isinstance(error, (ChannelError, CosimError, WireError, OSError)):
             text = str(error)
         elif isinstance(error, MemoryError):
             text = f"memory ran out{': ' if str(error) else ''}{error}"

@@ -16,6 +16,7 @@ from cosim.plan import AgentPlan, AnalysisPlan, ComponentPlan, CouplingPlan, Mai
 from cosim.planning.analysis import Member, plan_analysis
 from cosim.planning.blueprint import Blueprint, Part, draw_up
 from cosim.planning.bridge import Bridged, missing_replay, plan_bridge
+from cosim.planning.channels import try_channels
 from cosim.planning.coupling import solving, warn_of_order
 from cosim.planning.describing import Describer
 from cosim.planning.division import plan_workers
@@ -101,8 +102,9 @@ def plan(scenario: Scenario, located: Mapping[str, Path] | None = None) -> Plann
         analysis = plan_analysis(scenario, members, problems)
     problems.raise_if_any()
     add_warnings(scenario, edges, analysis.leaders, problems)
-    warn_of_silence(scenario, edges, analysis, problems)
     layout = MessageLayout(tuple(message), tuple(variable.size for variable in message.values() if variable))
+    warn_of_silence(scenario, edges, 8 * layout.width, analysis, problems)
+    try_channels(scenario, edges, problems)
     agents = tuple(_agents(members, blueprints, mailboxes, bridged, edges, message))
     agents = _with_loops(agents, blueprints, layout, problems)
     problems.raise_if_any()

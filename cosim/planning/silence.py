@@ -14,20 +14,25 @@ from cosim.scenario.names import in_short
 from cosim.scenario.reading import Scenario
 from cosim.theory import mu, published_bound
 from cosim.topology import roots
-from network.channel import ChannelModel
+from network.channel import ChannelModel, Setting
+from network.draws import Draws
 from network.freshness import intervals_above
 from network.impairments.mahimahi import read_trace
+from network.messages import NEVER, Links
 from network.profile import Profile
 from network.units import format_duration
 
 _MOST_TICKS = 10_000_000
+_TICKS_AT_ONCE, _MOST_TRIED = 16, 10_000
 
 
-def warn_of_silence(scenario: Scenario, edges: Sequence[Edge], analysis: AnalysisPlan, problems: Problems) -> None:
+def warn_of_silence(
+    scenario: Scenario, edges: Sequence[Edge], message_bytes: int, analysis: AnalysisPlan, problems: Problems
+) -> None:
     """About channels in use that never deliver within the run, and about planned blackouts."""
     for name in dict.fromkeys(edge.channel for edge in edges):
         model, where = scenario.spec.channels[name], scenario.root.locate("channels", name, key=True)
-        reason = never_delivers(model, scenario.spec.period, scenario.spec.duration)
+        reason = never_delivers(model, scenario.spec.period, scenario.spec.duration, message_bytes)
         if reason is not None:
             rest = _without(scenario, edges, name)
             problems.warning(f"the channel {name!r} delivers nothing in this run: {reason}{rest}", where)
@@ -42,7 +47,7 @@ def warn_of_silence(scenario: Scenario, edges: Sequence[Edge], analysis: Analysi
                 )
 
 
-def never_delivers(model: ChannelModel, period_ns: int, duration_ns: int) -> str | None:
+def never_delivers(model: ChannelModel, period_ns: int, duration_ns: int, message_bytes: int) -> str | None:
     """Why no message can arrive before the end of a run; None if one may."""
     if model.min_delay_ns() >= duration_ns:
         return f"its least delay, {format_duration(model.min_delay_ns())}, is not shorter than the run"
@@ -58,7 +63,26 @@ def never_delivers(model: ChannelModel, period_ns: int, duration_ns: int) -> str
         following = times[times >= begin]
         if len(following) and following[0] - begin >= duration_ns:
             return "its trace has no opportunity to send within the run"
+    if model.rate is not None and (takes := model.rate.transmission_ns(message_bytes)) >= duration_ns:
+        return f"at its rate a message of {message_bytes} bytes takes {format_duration(takes)}, longer than the run"
+    if not _lets_through(model, period_ns, duration_ns, message_bytes):
+        return f"what its capacity and delays let through of {message_bytes} bytes arrives after the run"
     return None
+
+
+def _lets_through(model: Profile, period_ns: int, duration_ns: int, message_bytes: int) -> bool:
+    """Whether one of its first messages arrives before the end of a run, were none lost at random or by plan."""
+    careful = model.model_copy(update={"loss": None, "duplicate": None, "schedule": None})
+    links = Links(("sender", "receiver"), *(np.array([i], np.int64) for i in (0, 1, 0)))
+    channel = careful.open(Setting(links, period_ns, Draws(0, ["sender"], ["receiver"]), message_bytes))
+    n_ticks = duration_ns // period_ns
+    for first in range(0, n_ticks, _TICKS_AT_ONCE):
+        sent = channel.transmit_many(range(first, min(first + _TICKS_AT_ONCE, n_ticks)))
+        if ((sent.delay_ns != NEVER) & (sent.sent * period_ns + sent.delay_ns < duration_ns)).any():
+            return True
+        if first >= _MOST_TRIED:
+            return True  # who knows
+    return False
 
 
 def longest_blackout_ns(model: ChannelModel, period_ns: int, duration_ns: int) -> int:

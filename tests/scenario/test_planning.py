@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.errors import Severity
+from cosim.errors import ConfigError, Severity
 from cosim.plan import AgentPlan, Integrator, Loop, Method, Plan
 from cosim.planning import load
 from tests.scenario.scenarios import BASE, changed, planned
@@ -305,10 +305,14 @@ def test_warnings(tmp_path: Path, changes: list[tuple[str, str]], sentences: lis
         ("{model: netem, schedule: {up: [[10 ms, 90 ms]]}}", "its schedule is never up at a tick"),
         ("{model: netem, delay: 1 s}", "its least delay, 1 s, is not shorter than the run"),
         ("{model: netem, mahimahi: late.trace}", "its trace has no opportunity to send within the run"),
+        ("{model: netem, rate: 100 bit/s}", "at its rate a message of 32 bytes takes 2.56 s, longer than the run"),
+        ("{model: netem, rate: 300 bit/s, delay: 200 ms}", "let through of 32 bytes arrives after the run"),
+        ("{model: netem, recorded: dead.csv}", "let through of 32 bytes arrives after the run"),
     ],
 )
 def test_channels_that_deliver_nothing(tmp_path: Path, channel: str, sentence: str) -> None:
     (tmp_path / "late.trace").write_text("1500\n")
+    (tmp_path / "dead.csv").write_text("time,delay,loss\n0,0,1\n9,0,0\n10,0,0\n")
     text = changed(("fast: {model: ideal}", f"fast: {channel}"))
     (warning,) = planned(tmp_path, text).warnings
     assert sentence in warning.message
@@ -327,6 +331,41 @@ def test_channels_that_deliver_nothing(tmp_path: Path, channel: str, sentence: s
 def test_channels_that_may_deliver(tmp_path: Path, channel: str) -> None:
     (tmp_path / "soon.trace").write_text("500\n")
     assert planned(tmp_path, changed(("fast: {model: ideal}", f"fast: {channel}"))).warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "severity", "said"),
+    [
+        ("Tired", None, ""),
+        ("Failing", Severity.ERROR, "channels.fast: transmit(7) raised ZeroDivisionError: my mistake (own_channels.py"),
+        ("Hurried", Severity.ERROR, "channels.fast: at tick 0 `delay_ns` has -30000000; it must be 0 or more"),
+        ("ClassState", Severity.WARNING, "channels.fast: played again, beside another channel of the same model"),
+    ],
+)
+def test_a_channel_class_is_tried_before_the_run(
+    tmp_path: Path, name: str, severity: Severity | None, said: str
+) -> None:
+    own = f"{{model: python, class: 'tests.network.own_channels:{name}'}}"
+    text = changed(("fast: {model: ideal}", f"fast: {own}"))
+    try:
+        problems = planned(tmp_path, text).warnings
+    except ConfigError as error:
+        problems = error.problems
+    if severity is None:
+        assert not problems
+        return
+    assert any(problem.severity is severity and said in problem.message and problem.where for problem in problems)
+
+
+def test_a_replay_must_know_the_edges(tmp_path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    columns = {"sender": ["7"], "receiver": ["8"], "stamp": [0], "sent": [0], "arrival_ns": [1], "fate": ["delivered"]}
+    pq.write_table(pa.table(columns), tmp_path / "deliveries.parquet")
+    text = changed(("fast: {model: ideal}", "fast: {model: replay, file: deliveries.parquet}"))
+    with pytest.raises(ConfigError, match=r"channels\.fast: the recorded run has no message from "):
+        planned(tmp_path, text)
 
 
 def test_midpoint_wants_the_plant_before_its_controller(tmp_path: Path) -> None:

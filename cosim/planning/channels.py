@@ -1,0 +1,34 @@
+"""What can be found out about channels before a run only by opening them on their edges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cosim.planning.graph import Edge, links_of
+from cosim.planning.problems import Problems
+from cosim.scenario.reading import Scenario
+from network.channel import Setting
+from network.conformance import Rule, violations
+from network.custom import Custom
+from network.draws import Draws
+from network.replay import Replay
+
+_TICKS, _EDGES = 70, 20  # a class of the user's own is tried for so long, on so many
+
+
+def try_channels(scenario: Scenario, edges: Sequence[Edge], problems: Problems) -> None:
+    """Open recorded networks on their edges, and play classes of the user's own."""
+    for name in dict.fromkeys(edge.channel for edge in edges):
+        model, where = scenario.spec.channels[name], scenario.root.locate("channels", name, key=True)
+        served = [edge for edge in edges if edge.channel == name]
+        if isinstance(model, Replay):
+            draws = Draws(0, [edge.sender for edge in served], [edge.receiver for edge in served])
+            try:
+                model.open(Setting(links_of(served, list(scenario.agents)), scenario.spec.period, draws, 8))
+            except ValueError as error:
+                problems.error(f"channels.{name}: {error}", where)
+        elif isinstance(model, Custom):
+            some = [(edge.sender, edge.receiver) for edge in served[:_EDGES]]
+            for violation in violations(model.served, n_ticks=_TICKS, period_ns=scenario.spec.period, edges=some):
+                say = problems.error if violation.rule in {Rule.WORKS, Rule.MESSAGES} else problems.warning
+                say(f"channels.{name}: {violation}", where)
