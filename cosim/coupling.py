@@ -15,6 +15,8 @@ step. Over a micro step from t to t + h:
   their last two values. A component that reads components that have stepped already makes two half steps, the first
   with their outputs at t, the second with those at t + h: their mean is right to second order, and its own outputs at
   t + h see the inputs at t + h, so that direct feedthrough costs no order. It needs no optional FMI capability.
+
+A component with a micro step of its own makes several in each of these steps, its inputs held.
 """
 
 from __future__ import annotations
@@ -413,16 +415,16 @@ class PythonLoop:
             step(start + i * h, h)
 
     def _jacobi(self, t: float, h: float) -> None:
-        for c, component in enumerate(self._components):
+        for c in range(len(self._components)):
             self._set_inputs(c)
-            self._step_one(component, t, h)
+            self._step_one(c, t, h)
         for gets in self._wiring.outputs:
             self._carry_out(gets)
 
     def _gauss_seidel(self, t: float, h: float) -> None:
-        for c, component in enumerate(self._components):
+        for c in range(len(self._components)):
             self._set_inputs(c)
-            self._step_one(component, t, h)
+            self._step_one(c, t, h)
             self._carry_out(self._wiring.outputs[c])
 
     def _midpoint(self, t: float, h: float) -> None:
@@ -433,25 +435,30 @@ class PythonLoop:
         ratio = 0.5 * h / previous_step if previous_step > 0.0 else 0.0
         middle = before + ratio * (before - state.previous)
         half = 0.5 * h
-        for c, component in enumerate(self._components):
+        for c in range(len(self._components)):
             earlier = (owner >= 0) & (owner < c)
             if any(np.any(earlier[transfer.positions]) for transfer in self._wiring.inputs[c]):
                 self._set_inputs(c, np.where(earlier, before, middle))
-                self._step_one(component, t, half)
+                self._step_one(c, t, half, halved=True)
                 self._set_inputs(c, np.where(earlier, signals, middle))
-                self._step_one(component, t + half, half)
+                self._step_one(c, t + half, half, halved=True)
             else:
                 self._set_inputs(c, middle)
-                self._step_one(component, t, h)
+                self._step_one(c, t, h)
             self._carry_out(self._wiring.outputs[c])
         state.previous[:] = before
         state.steps[0] = h
 
-    def _step_one(self, component: Component, t: float, h: float) -> None:
-        if self._coupling.retries:
-            component.step_in_halves(t, h, self._coupling.retries)
-        else:
-            component.step(t, h)
+    def _step_one(self, c: int, t: float, h: float, *, halved: bool = False) -> None:
+        """A step of a component, in as many of its own as it makes, its inputs held."""
+        component, retries = self._components[c], self._coupling.retries
+        parts = self._coupling.parts_of(c, halved=halved)
+        length = h / parts
+        for i in range(parts):
+            if retries:
+                component.step_in_halves(t + i * length, length, retries)
+            else:
+                component.step(t + i * length, length)
 
     def _set_inputs(self, c: int, source: Floats | None = None) -> None:
         """Set the connected inputs of a component from `source`, by default the signals."""

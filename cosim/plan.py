@@ -58,6 +58,7 @@ class CouplingPlan:
         grid: every micro step has this length, because a component accepts no other: an arrival waits for the end of
             the one it falls into.
         retries: how often a step that a component discards is tried again in halves.
+        parts: per component, how many steps of its own it makes in a micro step; empty where each makes one.
     """
 
     method: Method
@@ -68,6 +69,12 @@ class CouplingPlan:
     loop: Loop = Loop.NATIVE
     grid: bool = False
     retries: int = 0
+    parts: tuple[int, ...] = ()
+
+    def parts_of(self, component: int, *, halved: bool = False) -> int:
+        """How many steps a component makes in a micro step, or in half of one."""
+        parts = self.parts[component] if self.parts else 1
+        return (parts + 1) // 2 if halved else parts
 
 
 @dataclass(frozen=True)

@@ -69,6 +69,7 @@ typedef struct {
     int32_t first_indicator; /* where its event indicators lie among those of the agent */
     int32_t uses_events;     /* Co-Simulation with an Event Mode */
     int32_t discrete;        /* it takes its connected inputs there only */
+    int32_t parts[2];        /* steps of its own that it makes in a micro step, and in half of one */
     void *instance;
     const Function *functions; /* N_CALLS */
 } Component;

@@ -40,6 +40,7 @@ class Kind:
             message = f"the native loop solves no algebraic loop: {wiring.loops[0].names}"
             raise ConfigError([Problem(f"{message}; write `coupling: {{loop: python}}`")])
         self._wiring = wiring
+        self._coupling = coupling
         self._calls = [_Calls(component) for component in fmus]
         self._transfers = _TransferTable(self._calls)
         self._memory: list[Any] = []
@@ -80,7 +81,7 @@ class Kind:
         self.address = ctypes.addressof(self._agent)
         """Of the kernel's `Agent`."""
 
-    def rows(self, components: Sequence[FmuComponent]) -> Iterator[tuple[int, ...]]:
+    def rows(self, components: Sequence[FmuComponent]) -> Iterator[tuple[int | tuple[int, int], ...]]:
         """The kernel's `Component`, per component of an agent of this kind."""
         first_state = first_indicator = 0
         for c, component in enumerate(components):
@@ -90,7 +91,8 @@ class Kind:
             functions = self._functions(c, native)
             sizes = (component.n_states, first_state, reads_earlier, component.n_indicators, first_indicator)
             events = component.uses_events, takes_in_event_mode(component, self._wiring.inputs[c])
-            yield native.fmi, *sizes, *events, native.instance, functions
+            parts = self._coupling.parts_of(c), self._coupling.parts_of(c, halved=True)
+            yield native.fmi, *sizes, *events, parts, native.instance, functions
             first_state += component.n_states
             first_indicator += component.n_indicators
 

@@ -76,6 +76,7 @@ class Component(ctypes.Structure):
         ("first_indicator", c_int32),
         ("uses_events", c_int32),
         ("discrete", c_int32),
+        ("parts", c_int32 * 2),
         ("instance", c_void_p),
         ("functions", c_void_p),
     )

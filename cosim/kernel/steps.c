@@ -4,7 +4,7 @@
 #include "fmi_calls.h"
 
 /* A step of a component, with its events on the way. */
-static bool do_step(Agent *agent, int c, double time, double step) {
+static bool one_step(Agent *agent, int c, double time, double step) {
     double start = time, end = time + step, length = step, reached;
     bool uses_events = agent->components[c].uses_events, needed, early;
     for (int i = 0; i < EVENTS_PER_STEP; i++) {
@@ -17,6 +17,15 @@ static bool do_step(Agent *agent, int c, double time, double step) {
     return fail(agent, (Failure){.reason = TOO_MANY_EVENTS, .component = c});
 }
 
+/* A micro step of a component, or half of one, in as many steps of its own as it makes. */
+static bool do_step(Agent *agent, int c, double time, double step, int halved) {
+    int parts = agent->components[c].parts[halved];
+    double length = step / (double)parts;
+    for (int i = 0; i < parts; i++)
+        if (!one_step(agent, c, time + (double)i * length, length)) return false;
+    return true;
+}
+
 /* Set the connected inputs of a component, in Event Mode where it takes them there only. */
 static bool set_inputs(Agent *agent, int c, const double *source) {
     bool discrete = agent->components[c].discrete;
@@ -26,7 +35,7 @@ static bool set_inputs(Agent *agent, int c, const double *source) {
 
 static bool jacobi(Agent *agent, double t, double h) {
     for (int c = 0; c < agent->n_components; c++)
-        if (!set_inputs(agent, c, agent->signals) || !do_step(agent, c, t, h)) return false;
+        if (!set_inputs(agent, c, agent->signals) || !do_step(agent, c, t, h, 0)) return false;
     for (int c = 0; c < agent->n_components; c++)
         if (!carry_out(agent, agent->outputs[c], agent->signals)) return false;
     return true;
@@ -34,7 +43,7 @@ static bool jacobi(Agent *agent, double t, double h) {
 
 static bool gauss_seidel(Agent *agent, double t, double h) {
     for (int c = 0; c < agent->n_components; c++)
-        if (!set_inputs(agent, c, agent->signals) || !do_step(agent, c, t, h) ||
+        if (!set_inputs(agent, c, agent->signals) || !do_step(agent, c, t, h, 0) ||
             !carry_out(agent, agent->outputs[c], agent->signals))
             return false;
     return true;
@@ -51,10 +60,10 @@ static bool set_mixed_inputs(Agent *agent, int c, const double *earlier) {
 
 static bool midpoint_component(Agent *agent, int c, double t, double h) {
     if (!agent->components[c].reads_earlier)
-        return set_inputs(agent, c, agent->middle) && do_step(agent, c, t, h);
+        return set_inputs(agent, c, agent->middle) && do_step(agent, c, t, h, 0);
     double half = 0.5 * h;
-    return set_mixed_inputs(agent, c, agent->before) && do_step(agent, c, t, half) &&
-           set_mixed_inputs(agent, c, agent->signals) && do_step(agent, c, t + half, half);
+    return set_mixed_inputs(agent, c, agent->before) && do_step(agent, c, t, half, 1) &&
+           set_mixed_inputs(agent, c, agent->signals) && do_step(agent, c, t + half, half, 1);
 }
 
 static bool midpoint(Agent *agent, double t, double h) {

@@ -9,7 +9,7 @@ from cosim.components.component import Description, Interface
 from cosim.errors import Location
 from cosim.plan import AgentPlan, CouplingPlan, Integrator, Loop, Method
 from cosim.planning.problems import Problems
-from cosim.planning.steps import choose_step, own_steps
+from cosim.planning.steps import choose_step, own_steps, plan_parts
 from cosim.scenario.reading import AgentEntry
 from cosim.scenario.source import Node
 from cosim.scenario.spec import CouplingSpec
@@ -54,11 +54,14 @@ def choose_coupling(
     demands = own_steps(descriptions, readers if method is Method.MIDPOINT else frozenset())
     if method is Method.JOINT:
         demands = {}
-    step_ns = None if lacking else choose_step(spec, method, node, demands, period_ns, problems)
+    steps = {name: component.step for name, component in entry.spec.components.items() if component.step is not None}
+    slowest_ns = max(steps.values(), default=0)
+    step_ns = None if lacking else choose_step(spec, method, node, demands, period_ns, problems, slowest_ns)
     if step_ns is None:
         return None
     tolerances = spec.relative_tolerance, spec.absolute_tolerance
-    return CouplingPlan(method, step_ns, Integrator(spec.integrator), *tolerances, loop, bool(demands), retries)
+    parts = plan_parts(entry, steps, step_ns, method, demands, problems)
+    return CouplingPlan(method, step_ns, Integrator(spec.integrator), *tolerances, loop, bool(demands), retries, parts)
 
 
 def _auto(descriptions: Mapping[str, Description]) -> Method:

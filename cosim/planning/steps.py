@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from cosim.components.component import Description
 from cosim.plan import Method
 from cosim.planning.problems import Problems
+from cosim.scenario.reading import AgentEntry
 from cosim.scenario.source import Node
 from cosim.scenario.spec import CouplingSpec
 from network.units import NANOSECONDS_PER_SECOND, format_duration
@@ -31,6 +32,11 @@ class OwnStep:
     unit_ns: int
     usual_ns: int | None
     halved: bool
+
+    @property
+    def parts(self) -> int:
+        """How many steps it makes per micro step."""
+        return 2 if self.halved else 1
 
 
 def own_steps(descriptions: Mapping[str, Description], halved: Set[str]) -> dict[str, OwnStep]:
@@ -65,6 +71,7 @@ def choose_step(  # noqa: PLR0917
     demands: Mapping[str, OwnStep],
     period_ns: int,
     problems: Problems,
+    slowest_ns: int = 0,
 ) -> int | None:
     """The micro step given, else the usual one; None, and a problem, where there is none that fits.
 
@@ -75,6 +82,7 @@ def choose_step(  # noqa: PLR0917
         demands: what components ask for.
         period_ns: T.
         problems: takes what is wrong.
+        slowest_ns: the longest step that a component is given of its own.
     """
     where, period = node.locate("coupling", "step"), format_duration(period_ns)
     unit_ns = math.lcm(*(demand.unit_ns for demand in demands.values()))
@@ -84,7 +92,7 @@ def choose_step(  # noqa: PLR0917
         problems.error(f"{reason}, and the period {period} is no multiple of that; {' or '.join(fitting)} is", where)
         return None
     if spec.step is None:
-        usual = _usual(method, demands)
+        usual = max(_usual(method, demands), slowest_ns)
         fitting_ns = _fitting(period_ns, unit_ns, usual)
         if fitting_ns is None:
             problems.error(f"no usual step divides the period {period}; give 'step' under 'coupling'", node.where)
@@ -102,6 +110,54 @@ def choose_step(  # noqa: PLR0917
         problems.error(f"{_why(demands, unit_ns)}, and the step {step} is no multiple of that{hint}", where)
         return None
     return spec.step
+
+
+def plan_parts(  # noqa: PLR0917
+    entry: AgentEntry,
+    steps: Mapping[str, int],
+    step_ns: int,
+    method: Method,
+    demands: Mapping[str, OwnStep],
+    problems: Problems,
+) -> tuple[int, ...]:
+    """How many steps of its own each component makes in a micro step; empty where each makes one.
+
+    Args:
+        entry: how the agents are written.
+        steps: in nanoseconds, those that components are given of their own.
+        step_ns: the micro step.
+        method: of the coupling.
+        demands: what components ask for.
+        problems: takes what is wrong.
+    """
+    for name, own_ns in steps.items():
+        own, step = format_duration(own_ns), format_duration(step_ns)
+        demand = demands.get(name)
+        message = ""
+        if method is Method.JOINT:
+            message = "'joint' integrates all components with one step; leave 'step' out here, or use 'midpoint'"
+        elif own_ns > step_ns and entry.spec.coupling.step is None:
+            message = f"the step {own} of {name!r} does not divide the period; {step} does"
+        elif own_ns > step_ns:
+            message = (
+                f"{name!r} cannot step every {own} where values are exchanged every {step}; "
+                f"write `coupling: {{step: {own}}}`, and a 'step' for each faster component"
+            )
+        elif step_ns % own_ns:
+            fitting = _fitting(step_ns, 1, own_ns)
+            hint = f"; {format_duration(fitting)} does" if fitting else ""
+            message = f"the step {own} of {name!r} does not divide the coupling's step {step}{hint}"
+        elif demand is not None and (step_ns // demand.parts) % own_ns:
+            message = f"{name!r} makes two half steps of {step}, and the step {own} does not divide one"
+        elif demand is not None and own_ns % (demand.unit_ns // demand.parts):
+            unit = format_duration(demand.unit_ns // demand.parts)
+            message = f"{name!r} advances in steps of {unit}, and the step {own} is no multiple of that"
+        if message:
+            problems.error(message, entry.node.locate("components", name, "step"))
+            return ()
+    if not steps:
+        return ()
+    return tuple(step_ns // steps.get(name, step_ns) for name in entry.spec.components)
 
 
 def _usual(method: Method, demands: Mapping[str, OwnStep]) -> int:

@@ -238,6 +238,11 @@ class ComponentSpec(Spec):
         description="SHA-256 that the file must have, as `sha256sum` prints it; of a Python class, its source file's.",
     )
 
+    step: PositiveDuration | None = Field(
+        None,
+        description="Its own micro step, which divides that of the coupling: between two exchanges with the others it "
+        "makes several steps, its inputs held. For the couplings of Co-Simulation.",
+    )
     isolate: Annotated[IsolationSpec | None, BeforeValidator(_isolation), _OrBoolean()] = Field(
         None,
         description="true: it runs in a process of its own, so that a crash, a hang or what it changes of its process "

@@ -39,6 +39,7 @@ class Case:
     adaptation_sign: float = -1.0
     p: tuple[float, float] = (0.4, -1.1)
     grid: bool = False
+    parts: tuple[int, ...] = ()
 
 
 def plan(case: Case) -> AgentPlan:
@@ -84,7 +85,7 @@ def plan(case: Case) -> AgentPlan:
         ),
         neighbours=tuple(range(1, n + 1)),
         weights=(1.0 / n,) * n if n else (),
-        coupling=CouplingPlan(case.method, case.step_ns, case.integrator, grid=case.grid),
+        coupling=CouplingPlan(case.method, case.step_ns, case.integrator, grid=case.grid, parts=case.parts),
         record=tuple((f"x.{p.variable.name}", p) for p in record),
     )
 

@@ -52,6 +52,7 @@ def cases(draw: st.DrawFn, method: Method) -> Case:
         integrator=draw(st.sampled_from(list(Integrator))) if joint else Integrator.RK4,
         step_ns=step_ns,
         grid=not joint and T_NS % step_ns == 0 and draw(st.booleans()),
+        parts=() if joint else draw(st.sampled_from([(), (1, 3), (2, 1), (5, 4)])),
         n_neighbours=draw(st.integers(0, 3)),
         role=draw(st.sampled_from(["follower", "leader", "known_velocity"])),
         extrapolation=draw(
