@@ -6,19 +6,22 @@ Four agents in two workers, real processes over Zenoh on this host, `on_worker_l
 own worker down at a given tick, the first time only, and notes the moment. `noticed` is when the user is told; `caught
 up` when the replacement has come to where the others wait. The agents compute next to nothing, so that catching up
 shows what starting and the exchange cost; agents that take long take as long again as they took until then. The loss
-of the emulator ends the run: `noticed` is then when all processes are gone.
+of the emulator, and messages that come to harm, end the run: `noticed` is then when all processes are gone. Where the
+orchestrator is killed, `noticed` is when the last of the others has ended.
 """
 
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import signal
 import statistics
+import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,9 +38,15 @@ FAULTS = {
     "worker killed": "killed",
     "worker stopped (lease 2 s)": "stopped",
     f"worker hangs (deadline {DEADLINE:g} s)": "hangs",
-    "message lost": "loses",
-    "emulator killed": "orphans",
+    "a message lost, and all after it": "loses",
+    "a message lost": "gap",
+    "a message twice": "twice",
+    "a message damaged": "damaged",
+    "emulator killed": "kills emulator",
+    "emulator stopped (lease 2 s)": "stops emulator",
+    "orchestrator killed": "kills orchestrator",
 }
+ORCHESTRATOR = "kills orchestrator"
 
 
 class Node(PythonComponent):
@@ -68,24 +77,31 @@ class Node(PythonComponent):
             case "hangs":
                 while True:
                     signal.pause()
-            case "loses":
-                _lose_samples()
-            case "orphans":
+            case "kills emulator":
                 os.kill(_process("emulator", os.getppid()), signal.SIGKILL)
+            case "stops emulator":
+                os.kill(_process("emulator", os.getppid()), signal.SIGSTOP)
+            case "kills orchestrator":
+                os.kill(os.getppid(), signal.SIGKILL)
+            case harm:
+                _harm_samples(harm)
 
 
-def _lose_samples() -> None:
-    """Let the next samples of this process, and all that follow, get lost after they were numbered."""
-    from network import zenoh
-    from network.transport import Kind
+def _harm_samples(harm: str) -> None:
+    """Let the next samples of this process come to harm on the wire, after they were numbered."""
+    from network.zenoh import ZenohEndpoint
 
-    send = zenoh.ZenohEndpoint.send
+    (endpoint,) = [thing for thing in gc.get_objects() if isinstance(thing, ZenohEndpoint)]
+    seen = 0
 
-    def losing(self: Any, receiver: str, kind: Kind, tick: int, *parts: Any) -> None:
-        if kind is not Kind.SAMPLES:
-            send(self, receiver, kind, tick, *parts)
+    def tamper(_sender: str, receiver: str, frame: bytes) -> Sequence[bytes]:
+        nonlocal seen
+        seen += receiver == "emulator"
+        if receiver != "emulator" or (seen > 1 and harm != "loses"):
+            return [frame]
+        return {"twice": [frame, frame], "damaged": [frame[:-1] + bytes([frame[-1] ^ 1])]}.get(harm, [])
 
-    zenoh.ZenohEndpoint.send = losing  # type: ignore[method-assign, assignment]
+    endpoint._tamper = tamper
 
 
 def _process(name: str, parent: int) -> int:
@@ -120,8 +136,21 @@ def scenario(fault: int, ticks: int) -> str:
     )
 
 
+def orphaned(fault: int, ticks: int) -> tuple[float, None]:
+    """Seconds from the death of the orchestrator until the last of the others has ended."""
+    with tempfile.TemporaryDirectory() as folder:
+        path, mark = Path(folder) / "faults.yaml", Path(folder) / "mark"
+        path.write_text(scenario(fault, ticks), encoding="utf-8")
+        command = [sys.executable, "-m", "cosim", "run", str(path), "--distributed", "--workers", "2"]
+        command += ["--no-report", "--quiet", "--out", str(Path(folder) / "out")]
+        subprocess.run(command, env={**os.environ, MARK: str(mark)}, capture_output=True, timeout=120, check=False)
+        return time.monotonic() - float(mark.read_text()), None  # its output ends with the last of those who share it
+
+
 def trial(fault: int, ticks: int) -> tuple[float, float | None]:
     """Seconds from the fault until it is noticed, and until the replacement has caught up."""
+    if list(FAULTS.values())[fault] == ORCHESTRATOR:
+        return orphaned(fault, ticks)
     from cosim.distributed import cluster
     from cosim.errors import ClusterError
     from cosim.planning import plan

@@ -287,6 +287,8 @@ def _add_channel(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def _add_keys(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    from cosim import cli_hosts
+
     about = "make the keys with which processes on several hosts prove who they are"
     keys = commands.add_parser("keys", help=about, description=f"{about[0].upper()}{about[1:]}.")
     actions = keys.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Intermixed)
@@ -302,6 +304,8 @@ def _add_keys(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     )
     issue.add_argument("--days", type=int, metavar="N", help="how long they are valid (default: a year)")
     show = _command(actions, "show", _keys, "say what keys there are, for which hosts, and until when")
+    router = _command(actions, "router", _keys, "configure a Zenoh router that lets in a run's processes")
+    cli_hosts.add_router(router)
     for action, command in ((init, "init"), (issue, "issue"), (show, "show")):
         action.add_argument(
             "folder", nargs="?", type=Path, default=Path("keys"), metavar="FOLDER", help="default: keys"

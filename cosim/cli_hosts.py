@@ -51,6 +51,24 @@ def add_place(parser: argparse.ArgumentParser, seconds: Callable[[str], float], 
     )
 
 
+def add_router(parser: argparse.ArgumentParser) -> None:
+    """What `keys router` takes."""
+    parser.add_argument("workers", nargs="+", metavar="WORKER", help="names of the workers that may come")
+    parser.add_argument(
+        "--listen", required=True, metavar="ENDPOINT", help="where the router listens, such as tls/0.0.0.0:7447"
+    )
+    parser.add_argument("--namespace", metavar="NAME", help="the runs that it carries (default: those without one)")
+    parser.add_argument(
+        "--keys",
+        type=Path,
+        default=Path("keys") / "router",
+        metavar="FOLDER",
+        help="keys of the router, from cosim keys issue (default: %(default)s)",
+    )
+    parser.add_argument("-o", "--out", type=Path, metavar="FILE", help="default: print it")
+    parser.set_defaults(action="router")
+
+
 def add_guest(parser: argparse.ArgumentParser, seconds: Callable[[str], float], role: str) -> None:
     """What `emulator` and `worker` have in common."""
     parser.epilog = EXIT_CODES

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Iterable
 from datetime import UTC, datetime
 
 from cosim.errors import ConfigError, Location, Problem
-from network import authority
+from network import access, authority
 from network.keyfiles import (
     AUTHORITY,
     AUTHORITY_KEY,
@@ -27,7 +28,7 @@ def main(args: argparse.Namespace) -> int:
         ConfigError: something is wrong with the arguments or with what is there.
     """
     try:
-        return {"init": _init, "issue": _issue, "show": _show}[args.action](args)
+        return {"init": _init, "issue": _issue, "show": _show, "router": _router}[args.action](args)
     except KeysError as error:
         raise ConfigError(problems([error])) from error
 
@@ -51,6 +52,27 @@ def _issue(args: argparse.Namespace) -> int:
     print(f"wrote {folder}; copy it to the host of {args.name} (scp -rp), and let nobody else read it")
     if args.name == HUB and not args.host:
         print(f"it names no host, so that {HUB} can connect to a router of yours, but not listen itself")
+    return 0
+
+
+def _router(args: argparse.Namespace) -> int:
+    faults = access.check_listen([args.listen], args.keys, insecure=False, name=access.name_in(args.keys) or "router")
+    if faults:
+        raise ConfigError(problems(faults))
+    try:
+        members = access.Members(["emulator", *args.workers], ["emulator"], namespace=args.namespace)
+        tree = access.router(args.keys, [args.listen], members)
+    except ValueError as error:
+        raise ConfigError([Problem(str(error))]) from None
+    text = json.dumps(tree, indent=2) + "\n"
+    if args.out is None:
+        print(text, end="")
+        return 0
+    try:
+        args.out.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise KeysError(f"cannot be written: {error.strerror}", args.out) from None
+    print(f"wrote {args.out}; next: zenohd --config {args.out}")
     return 0
 
 

@@ -491,6 +491,8 @@ class ZenohClient(ZenohEndpoint):
             if reply.ok is None:
                 continue
             *root, _, _, token = str(reply.ok.key_expr).split("/")
+            if "/".join(root) == self._keys.root:
+                return f"; it is there, but does not hear {self.name}: are name and keys those of one of the run's?"
             runs.append(root[-1] + (f" (namespace {root[1]})" if len(root) > 2 else ""))
             if token in routers:
                 raise Refused(f"{self.name} may not join run {self._run}: the orchestrator there plays run {runs[-1]}")

@@ -95,7 +95,7 @@ class Place:
         """What the process of that name has to add."""
         words = [] if self.run == DEFAULT_RUN else ["--run", self.run]
         words += ["--namespace", self.namespace] if self.namespace else []
-        words += ["--keys", name] if self.keys else []
+        words += ["--keys", str(self.keys.parent / name)] if self.keys else []
         return words + (["--insecure"] if self.insecure else [])
 
     # --- the others -------------------------------------------------------------------------------------------------

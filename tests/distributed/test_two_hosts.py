@@ -87,5 +87,5 @@ def test_two_hosts_with_keys(hosts: dict[str, list[str]], tmp_path: Path) -> Non
         output = orchestrator.succeed()
         for other in others:
             other.succeed()
-    assert f"  cosim worker --connect {where} --keys lab-b\n" in output
+    assert f"  cosim worker --connect {where} --keys {keys / 'lab-b'}\n" in output
     assert digest(tmp_path / "s" / "out") == plain_digest(tmp_path, *scenario[:3])
