@@ -131,7 +131,7 @@ def scenario(fault: int, ticks: int) -> str:
             "  1..4: {template: node}",
             f"  3: {{{component}, start: {{at: {ticks * PERIOD_MS / 1000}, fault: {fault}}}}}}}}}",
             "graph: {channel: used, edges: [1 -> 3, 3 -> 1, 2 -> 4, 4 -> 2]}",
-            "channels: {used: {model: delay, delay: 15 ms}}",
+            "channels: {used: {model: netem, delay: 15 ms}}",
         ]
     )
 

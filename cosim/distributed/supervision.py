@@ -30,6 +30,8 @@ _START_SECONDS_PER_AGENT = 0.1
 _WATCH_SECONDS = 0.02
 _ASK_SECONDS = 0.5
 """After so long without progress, everybody is asked how far they are: a message that was lost is noticed."""
+_ANSWER_SECONDS = 0.2
+"""Whoever has not answered after so long is at work, stopped, or cut off."""
 _TELL_SECONDS = 5.0
 """How often to say how far replacements are."""
 _SETTLE_SECONDS = 1.0
@@ -130,12 +132,14 @@ class Supervisor:
                 told = now
                 for name, tick, goal in orchestration.behind():
                     self._tell(f"{name} is at tick {tick} of {goal}", None)
+            answered = asked > since and orchestration.all_answered(())
+            overdue = now - since > self._deadline
             if progress != orchestration.progress or self._waits_for_the_clock:
                 progress, since = orchestration.progress, now
-            elif now - since > self._deadline:
+            elif overdue and asked > since and (answered or now - asked > _ANSWER_SECONDS):
                 self._hang()
                 since = time.monotonic()
-            elif now - max(since, asked) > _ASK_SECONDS or (asked > since and orchestration.all_answered(())):
+            elif answered or now - max(since, asked) > _ASK_SECONDS or (overdue and asked <= since):
                 if not self._find_lost_message():
                     send(self._hub, orchestration.ask())
                 asked = now
@@ -224,10 +228,11 @@ class Supervisor:
     def _hang(self) -> None:
         """Nobody gets further: replace whoever holds the others up, or end the run."""
         deadline = self._deadline
-        self._settle()
         if self._find_lost_message():
             return
         culprits = self._orchestration.unready or self._orchestration.standing().culprits()
+        if self._processes.condition(EMULATOR) is not None:  # through which all are connected
+            culprits = (EMULATOR,)
         stopped = [text for name in culprits if (text := self._processes.condition(name))]
         self._resolve(culprits, stopped[0] if stopped else f"did not get further for {deadline:g} s", settled=True)
 
@@ -328,10 +333,11 @@ class Supervisor:
         send(self._hub, orchestration.ask())
         if orchestration.all_answered(but):  # nobody is there to answer
             return
-        deadline = time.monotonic() + _SETTLE_SECONDS
-        while (left := deadline - time.monotonic()) > 0:
+        cut_off = self._processes.condition(EMULATOR) is not None
+        deadline = time.monotonic() + (0.0 if cut_off else _SETTLE_SECONDS)
+        while (left := deadline - time.monotonic()) > 0 or cut_off:
             try:
-                send(self._hub, orchestration.handle(self._hub.receive(left)))
+                send(self._hub, orchestration.handle(self._hub.receive(max(0.0, left))))
             except (PeerLost, WireError):
                 continue
             except (TransportTimeout, CosimError):
@@ -343,6 +349,8 @@ class Supervisor:
 
     def _dismiss(self, seconds: float, why: str) -> None:
         """Send everybody home, and wait for them; the emulator, through which all may be connected, goes last."""
+        if self._processes.condition(EMULATOR) is not None:  # nobody hears it
+            seconds = 0.0
         farewells = self._orchestration.end(why)
         for last in (False, True):
             for message in farewells:
