@@ -75,11 +75,22 @@ def _drop_output() -> None:
 def _print_problems(problems: Sequence[Problem]) -> None:
     """One line each, then how many there were."""
     for problem in problems:
-        print(problem, file=sys.stderr)
+        print(_linked(problem) if problem.see and sys.stderr.isatty() else problem, file=sys.stderr)
     counts = [(severity, sum(p.severity is severity for p in problems)) for severity in Severity]
     said = [f"{count} {severity}{'' if count == 1 else 's'}" for severity, count in counts if count]
     if said:
         print(", ".join(said), file=sys.stderr)
+
+
+def _linked(problem: Problem) -> str:
+    """With a link to its place in the docs, for terminals that know links (OSC 8); others show the text alone."""
+    from cosim.channel import explaining
+
+    entry = explaining.entries().get(problem.see or "")
+    if entry is None:
+        return str(problem)
+    link = f"{explaining.page().as_uri()}#L{entry.line}"
+    return str(problem).replace(problem.how_to_see, f"\033]8;;{link}\033\\{problem.how_to_see}\033]8;;\033\\")
 
 
 # --- commands ---------------------------------------------------------------------------------------------------------
@@ -272,6 +283,13 @@ def _add_channel(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="the delays of the log are there and back, as ping's are by themselves",
     )
     channel.add_argument("--list", action="store_true", help="show the shipped profiles")
+    channel.add_argument(
+        "--explain",
+        nargs="?",
+        const="",
+        metavar="PARAMETER",
+        help="what a parameter means, such as gemodel or delay.jitter; without one, which there are",
+    )
     played = channel.add_argument_group("how it is played (default: as in the scenario, where there is one)")
     played.add_argument("--ticks", type=int, metavar="N", help="messages per edge (default: 10000)")
     played.add_argument("--edges", type=int, metavar="N", help="that have the channel, independently (default: 1)")

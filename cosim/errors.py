@@ -38,15 +38,25 @@ class Location:
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that is wrong: what, where, and what to write instead (inside `message`)."""
+    """One thing that is wrong: what, where, and what to write instead (inside `message`).
+
+    Attributes:
+        see: parameter of a channel, which `cosim channel --explain` explains.
+    """
 
     message: str
     where: Location | None = None
     severity: Severity = Severity.ERROR
+    see: str | None = None
 
     def __str__(self) -> str:
         prefix = f"{self.where}: " if self.where else ""
-        return f"{prefix}{self.severity}: {self.message}"
+        return f"{prefix}{self.severity}: {self.message}{f' ({self.how_to_see})' if self.see else ''}"
+
+    @property
+    def how_to_see(self) -> str:
+        """The command that explains the parameter."""
+        return f"cosim channel --explain {self.see}"
 
 
 class CosimError(Exception):

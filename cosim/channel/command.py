@@ -35,6 +35,8 @@ def main(args: argparse.Namespace) -> int:
     """
     if args.list:
         return _list()
+    if args.explain is not None:
+        return _explain(args.explain)
     if args.fit is not None:
         return _fit(args)
     if args.profile is None:
@@ -62,6 +64,17 @@ def _list() -> int:
     for name in names:
         profile = profiles.load(profiles.find(name, Path()))
         print(f"{name:{width}}  {profile.title}")
+    return 0
+
+
+def _explain(term: str) -> int:
+    from cosim.channel import explaining
+
+    if not term:
+        print("\n".join(explaining.entries()))
+        return 0
+    shown = [f"{entry.text}\n\n{explaining.page()}:{entry.line}" for entry in explaining.explain(term)]
+    print("\n\n".join(shown))
     return 0
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,6 +16,7 @@ from cosim.scenario.merging import Override, merge
 from cosim.scenario.names import agent_names
 from cosim.scenario.source import Node, read
 from cosim.scenario.spec import AgentSpec, ScenarioSpec
+from cosim.scenario.terms import term
 from network.channel import ChannelModel
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -213,7 +214,8 @@ def problems_of(
     except ValidationError as error:
         schema = form.json_schema(by_alias=True)
         details = error.errors(include_url=False)
-        return None, _unique(_mistake(detail, node, schema).problem for detail in details)
+        mistakes = [_mistake(detail, node, schema) for detail in details]
+        return None, _unique(replace(one.problem, see=term(node, one.path)) for one in mistakes)
 
 
 def _last_first(path: Sequence[Step]) -> list[tuple[int, str]]:
@@ -233,19 +235,31 @@ def _validate(model: type[Model], node: Node, context: Mapping[str, Any] | None)
 
 def _mistake(detail: Mapping[str, Any], node: Node, schema: Mapping[str, Any]) -> _Mistake:
     kind, steps = detail["type"], tuple(detail["loc"])
+    known: list[str] = []
     if steps and steps[-1] == "[key]":
         path, _ = _trace(schema, steps[:-1])
-        return _Mistake(Problem(_sentence(detail, path), node.locate(*path, key=True)), tuple(path))
-    if kind == "missing":
-        path, _ = _trace(schema, steps[:-1])
-        return _Mistake(Problem(f"{_prefix(path)}{steps[-1]!r} is missing", node.locate(*path)), (*path, steps[-1]))
-    if kind == "extra_forbidden":
-        path, known = _trace(schema, steps[:-1])
+        message, where = _sentence(detail, path), node.locate(*path, key=True)
+    elif kind == "missing":
+        above, _ = _trace(schema, steps[:-1])
+        path = [*above, steps[-1]]
+        message, where = f"{_prefix(above)}{steps[-1]!r} is missing", node.locate(*above)
+    elif kind == "extra_forbidden":
+        above, known = _trace(schema, steps[:-1])
         wrong = str(steps[-1])
-        message = f"{_prefix(path)}unknown key {wrong!r}{suggest(wrong, known)}"
-        return _Mistake(Problem(message, node.locate(*path, wrong, key=True)), (*path, wrong), tuple(known))
-    path, _ = _trace(schema, steps)
-    return _Mistake(Problem(_sentence(detail, path), node.locate(*path)), tuple(path))
+        path = [*above, wrong]
+        message = f"{_prefix(above)}unknown key {wrong!r}{suggest(wrong, known)}"
+        where = node.locate(*path, key=True)
+    else:
+        path, _ = _trace(schema, steps)
+        message, where = _sentence(detail, path), node.locate(*path)
+    return _Mistake(Problem(message, where, see=_see(node, path)), tuple(path), tuple(known))
+
+
+def _see(node: Node, path: Sequence[Step]) -> str | None:
+    """The place in the docs that explains what is wrong, if it is in a channel."""
+    if len(path) > 1 and path[0] == "channels":
+        return term(node.find("channels", path[1]), path[2:])
+    return None
 
 
 def _prefix(path: Sequence[Step]) -> str:

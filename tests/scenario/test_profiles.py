@@ -93,7 +93,8 @@ def test_mistakes_are_found_in_the_profile_s_file(tmp_path: Path) -> None:
     mine.write_text(MINE.replace("40 ms", "40 mss").replace("  recorded: cell.csv\n", ""))
     (problem,) = _problems(_scenario(tmp_path, "mine.yaml"))
     assert problem == (
-        f"{mine}:5:10: error: channels.fast.delay: unknown unit of time 'mss'; one of ns, us, µs, ms, s, min, h"
+        f"{mine}:5:10: error: channels.fast.delay: unknown unit of time 'mss'; one of ns, us, µs, ms, s, min, h "
+        "(cosim channel --explain delay)"
     )
     mine.write_text("titel: Mine\nchannels: {model: ideal}\n")
     found = _problems(_scenario(tmp_path, "mine.yaml"))
