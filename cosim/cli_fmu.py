@@ -44,6 +44,26 @@ def add(commands: Any, command: Callable[..., argparse.ArgumentParser], seconds:
     )
     test.epilog = TEST_EXIT_CODES
 
+    export = command(actions, "export", _export, "make an FMU of a Python component; takes the extra 'export'")
+    export.add_argument("target", metavar="CLASS", help="package.module:Class")
+    export.add_argument("-o", "--out", type=Path, metavar="OUT", help="the new file (default: <Class>.fmu, here)")
+    export.add_argument(
+        "--size",
+        metavar="NAME=N",
+        action="append",
+        default=[],
+        help="value of a structural parameter, which is fixed in the FMU; repeatable",
+    )
+    export.add_argument(
+        "--with",
+        dest="files",
+        type=Path,
+        metavar="PATH",
+        action="append",
+        default=[],
+        help="a file or folder that the class needs as well, besides its own module or package; repeatable",
+    )
+
     about = "write what an FMU says of itself, for others to plan with while the FMU stays"
     strip = command(actions, "strip", _strip, about)
     strip.add_argument("file", type=Path, metavar="FILE", help="the FMU")
@@ -102,6 +122,21 @@ def _test(args: argparse.Namespace) -> int:
     report = check(target, start=start, deadline=args.deadline)
     print(report)
     return 2 if report.problems else 0
+
+
+def _export(args: argparse.Namespace) -> int:
+    from cosim.errors import ConfigError, Problem
+    from cosim.fmu_commands.exporting import export
+
+    sizes = {}
+    for text in args.size:
+        name, _, number = text.partition("=")
+        if not name or not number.isdecimal():
+            raise ConfigError([Problem(f"--size {text}: write NAME=N")])
+        sizes[name] = int(number)
+    out = export(args.target, args.out, sizes, args.files)
+    print(f"wrote {out}: {args.target} as an FMU; next: cosim fmu test {out}")
+    return 0
 
 
 def _strip(args: argparse.Namespace) -> int:

@@ -377,6 +377,12 @@ class PythonInstance(Component):
         values: Floats = self._flat[variable.name].astype(np.float64)
         return values
 
+    def peek(self, variable: Variable) -> NDArray[Any]:
+        """Flat values of a variable of any type, in its own type."""
+        self._evaluate()
+        values: NDArray[Any] = self._flat[variable.name]
+        return values
+
     def set(self, variable: Variable, values: Floats) -> None:
         target = self._flat[variable.name]
         target[:] = np.rint(values) if target.dtype.kind == "i" else values
