@@ -81,7 +81,7 @@ typedef struct {
     int32_t type;
     int32_t n_references;
     int32_t n_values;
-    int32_t begin; /* the first position, if the others follow it one by one; else -1 */
+    int32_t begin; /* the first position, if the others follow it one by one and no value is scaled; else -1 */
     const uint32_t *references; /* n_references */
     const int32_t *positions;   /* n_values, indices into the signals */
     void *buffer;               /* n_values of the type */

@@ -241,7 +241,7 @@ class _TransferTable:
                 type=layout.TYPES.index(dtype),
                 n_references=references.size,
                 n_values=positions.size,
-                begin=positions[0] if np.all(np.diff(positions) == 1) else -1,
+                begin=positions[0] if gains is None and np.all(np.diff(positions) == 1) else -1,
                 references=references.ctypes.data,
                 positions=positions.ctypes.data,
                 buffer=buffer.ctypes.data,
