@@ -90,8 +90,13 @@ class Draws:
         names = zip(sender_names, receiver_names, strict=True)
         keys = _words(b"".join(_digest(16, "edge", str(seed), sender, receiver) for sender, receiver in names))
         self._key = (keys[0::2].copy(), keys[1::2].copy())
+        self._seed, self._senders = seed, tuple(sender_names)
         self._block = max(2, min(_TICKS_AT_ONCE, _WORDS_AT_ONCE // max(1, len(self._key[0])) // 2 * 2))
         self._blocks: dict[str, tuple[int, Floats]] = {}  # by purpose: index of the block, (ticks, n) uniforms
+
+    def of_senders(self) -> Draws:
+        """Numbers that all edges from one sender share: keyed by its name alone."""
+        return Draws(self._seed, self._senders, [""] * len(self._senders))
 
     def uniform(self, purpose: str, tick: int) -> Floats:
         """(n,) float64, uniform over the multiples of 2^-53 in [0, 1). Read only."""

@@ -19,7 +19,7 @@ from network.netem import Ideal, Netem
 from network.traffic import traffic
 from network.units import format_duration
 from network.window import Window
-from tests.network.networks import T, dense_links, logs_of
+from tests.network.networks import T, dense_links, links_of, logs_of
 
 FALSE_ALARM = 1e-6
 SIGMAS = float(-stats.norm.ppf(FALSE_ALARM / 2))
@@ -97,6 +97,74 @@ def test_a_window_never_sends_a_sample_with_its_probability(depth: int) -> None:
     kept = sum(int((transmission.stamp < ticks).sum()) for transmission in _sent(model, edges, ticks + depth))
     never, expected = 1 - kept / (edges * ticks), (depth / (depth + 1)) ** (depth + 1)
     assert abs(never - expected) < SIGMAS * np.sqrt(expected * (1 - expected) / (edges * ticks))
+
+
+# --- its other readings ----------------------------------------------------------------------------------------------
+def _reading(**reading: str) -> Window:
+    return Window.model_validate({"depth": 10, "delay": ["150 ms", "250 ms"], **reading})
+
+
+def _messages(model: ChannelModel, edges: int = 300, ticks: int = 200) -> set[tuple[int, int, int]]:
+    """(tick, edge, stamp) of all that leave."""
+    return {
+        (tick, link, stamp)
+        for tick, sent in enumerate(_sent(model, edges, ticks))
+        for link, stamp in zip(sent.link.tolist(), sent.stamp.tolist(), strict=True)
+    }
+
+
+def test_a_window_may_send_a_sample_again() -> None:
+    again, once = _messages(_reading(again="send")), _messages(PAPER)
+    first: dict[tuple[int, int], int] = {}
+    for tick, link, stamp in sorted(again):
+        first.setdefault((link, stamp), tick)
+    assert {(tick, link, stamp) for (link, stamp), tick in first.items()} == once
+    assert len([row for row in again if row[0] >= 10]) == 300 * 190  # one message a tick
+
+
+def test_a_pick_before_the_start_may_count_as_the_first_sample() -> None:
+    clipped, skipped = _messages(_reading(before_start="first", again="send")), _messages(_reading(again="send"))
+    assert len(clipped) == 300 * 200
+    assert skipped < clipped
+    assert {stamp for _, _, stamp in clipped - skipped} == {0}
+    assert _messages(_reading(before_start="first")) < clipped
+
+
+def test_a_sender_may_pick_once_for_all_its_receivers() -> None:
+    links = links_of("abcd", [(0, 1), (0, 2), (0, 3), (1, 0)])
+    names = [links.agents[i] for i in links.sender], [links.agents[i] for i in links.receiver]
+    channel = _reading(draw="sender").open(Setting(links, T, Draws(1, *names), 24))
+    sent = [channel.transmit(tick) for tick in range(100)]
+    stamps = [dict(zip(t.link.tolist(), t.stamp.tolist(), strict=True)) for t in sent]
+    assert all(s.get(0) == s.get(1) == s.get(2) for s in stamps)
+    assert any(s.get(0) != s.get(3) for s in stamps)
+    assert any(len(set(t.delay_ns[t.link < 3].tolist())) == 3 for t in sent)
+
+
+def test_arrivals_may_be_noticed_at_ticks() -> None:
+    model = _reading(arrival="tick")
+    for exact, noticed in zip(_sent(PAPER, 50, 50), _sent(model, 50, 50), strict=True):
+        assert noticed.delay_ns.tolist() == (-(-exact.delay_ns // T) * T).tolist()
+    assert model.age_bound_ns(T) == PAPER.age_bound_ns(T)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.fixed_dictionaries(
+        {
+            "again": st.sampled_from(["skip", "send"]),
+            "before_start": st.sampled_from(["skip", "first"]),
+            "draw": st.sampled_from(["edge", "sender"]),
+            "arrival": st.sampled_from(["exact", "tick"]),
+        }
+    ),
+    st.integers(0, 10**6),
+)
+def test_the_age_bound_holds_for_every_reading(reading: dict[str, str], seed: int) -> None:
+    model, span = _reading(**reading), Span(150, T)
+    assert Window.model_validate(model.as_written()) == model
+    for log in logs_of(model, dense_links(4, 2), span.n_ticks, seed):
+        assert age_of_information(log, span).tick_sup * 1e9 <= (model.age_bound_ns(T) or 0) + 0.5
 
 
 def _age_exceeds(ticks: int, phase: float) -> float:

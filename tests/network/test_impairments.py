@@ -91,6 +91,28 @@ def test_rates_in_closed_form(loss: Any, rate: float) -> None:
     assert Netem.model_validate({"loss": loss}).loss.loss_rate() == pytest.approx(rate)  # type: ignore[union-attr]
 
 
+def _mean_run_of_chain(loss: Any) -> float:
+    """P(lost) / P(lost, next received), from the chain's matrix alone."""
+    model = Netem.model_validate({"loss": loss}).loss
+    assert model is not None
+    if model.gemodel is not None:
+        ge = model.gemodel
+        step = np.array([[1 - ge.p, ge.p], [ge.recovery, 1 - ge.recovery]])
+        losing = np.array([ge.good, ge.bad])
+    else:
+        fs = model.state
+        assert fs is not None
+        out1, out3 = 1 - fs.p13 - fs.p14, 1 - fs.end_of_burst - fs.p32
+        step = np.array(
+            [[out1, 0, fs.p13, fs.p14], [0, 1 - fs.p23, fs.p23, 0], [fs.end_of_burst, fs.p32, out3, 0], [1, 0, 0, 0]]
+        )
+        losing = np.array([0.0, 0, 1, 1])
+    stationary = np.linalg.matrix_power(step, 10_000)[0]
+    lost = stationary @ losing
+    assert lost == pytest.approx(model.loss_rate())
+    return float(lost / ((stationary * losing) @ step @ (1 - losing)))
+
+
 @pytest.mark.parametrize(
     ("loss", "mean_run"),
     [
@@ -109,6 +131,27 @@ def test_the_mean_run_of_losses(loss: Any, mean_run: float | None) -> None:
     # P(lost)/P(a run ends): the mean of a ratio, tested as a difference of means over independent edges.
     ends = (lost[:-1] & ~lost[1:]).mean(axis=0)
     assert _close(lost[:-1].mean(axis=0) - stated * ends, 0.0)
+
+
+def test_the_mean_burst_of_gemodel_is_that_of_its_chain() -> None:
+    for loss in (["1 %", "20 %"], ["5 %", "20 %", "70 %", "5 %"], ["60 %", "70 %", "90 %"]):
+        model = Netem.model_validate({"loss": {"gemodel": loss}}).loss
+        assert model is not None
+        assert model.gemodel is not None
+        assert model.gemodel.mean_burst() == pytest.approx(_mean_run_of_chain({"gemodel": loss}))
+
+
+@pytest.mark.parametrize("lag", [1, 2, 4])
+def test_correlated_losses_and_duplicates_have_their_correlation(lag: int) -> None:
+    rate, correlation = 0.2, 0.6
+    lost = _delays(_sent({"loss": {"random": rate, "correlation": correlation}})) == NEVER
+    twice = np.zeros((TICKS, EDGES), np.bool_)
+    for tick, messages in enumerate(_sent({"duplicate": {"random": rate, "correlation": correlation}})):
+        twice[tick, messages.link[messages.copy == 1]] = True
+    for event in (lost, twice):
+        both = (event[lag:] & event[:-lag]).mean(axis=0)
+        assert _close(both, rate**2 + rate * (1 - rate) * correlation**lag)
+        assert _close(event.mean(axis=0), rate)
 
 
 def test_a_chain_begins_in_its_stationary_distribution() -> None:
@@ -139,6 +182,22 @@ def test_a_gap_keeps_messages_back_from_going_ahead() -> None:
     assert _close(ahead[4:].mean(axis=0), 1 / (3 + 1 / 0.5))
 
 
+class _ParetoNormal:
+    """A quarter of a normal number and three quarters of a pareto one that rise together, by bisection."""
+
+    def __init__(self, mean: float, jitter: float) -> None:
+        self._mean, self._jitter = mean, jitter
+
+    def cdf(self, delay: NDArray[np.float64]) -> NDArray[np.float64]:
+        low, high = np.zeros_like(delay), np.ones_like(delay)
+        for _ in range(60):
+            middle = (low + high) / 2
+            pareto = np.minimum((stats.pareto.ppf(middle, 3) - 1.5) * 4 / 3, 4)
+            below = self._mean + self._jitter * (stats.norm.ppf(middle) / 4 + pareto * 3 / 4) < delay
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        return low
+
+
 # --- delay -----------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("correlation", ["0 %", "60 %"])
 @pytest.mark.parametrize(
@@ -148,6 +207,7 @@ def test_a_gap_keeps_messages_back_from_going_ahead() -> None:
         ("normal", stats.norm(40, 10)),
         ("lognormal", stats.lognorm(np.sqrt(np.log1p(1 / 16)), scale=40 / np.sqrt(1 + 1 / 16))),
         ("gamma", stats.gamma(16, scale=2.5)),
+        ("paretonormal", _ParetoNormal(40, 10)),
     ],
 )
 def test_delays_follow_their_law_whatever_the_correlation(distribution: str, law: Any, correlation: str) -> None:
@@ -240,14 +300,41 @@ def test_the_mean_wait_in_a_queue_is_that_of_its_random_walk() -> None:
     assert _close(wait / (20 * MS), (1 + np.sqrt(5)) / 2)
 
 
+@pytest.mark.parametrize(("p", "service"), [(0.1, 5), (0.3, 2), (0.06, 10)])
+def test_the_mean_wait_for_a_link_is_that_of_geo_d_1(p: float, service: int) -> None:
+    # A message at a tick with probability p, each taking D ticks: M/D/1 on a grid, which it becomes for large D. The
+    # mean wait is p D (D - 1) / (2 (1 - p D)) ticks (Hunter: "Mathematical Techniques of Applied Probability 2", 1983).
+    rate = f"{64 * 8 / (service * T) * 1e9!r} bit/s"
+    delays = _delays(_sent({"loss": 1 - p, "rate": rate}, edges=4000, ticks=90 * service))[60 * service :]
+    arrived = delays != NEVER
+    wait = np.where(arrived, delays / T - service, 0)
+    expected = p * service * (service - 1) / (2 * (1 - p * service))
+    # A ratio over independent edges, as a difference of means.
+    assert _close((wait - expected * arrived).sum(axis=0), 0.0)
+
+
+def test_a_link_without_a_queue_loses_what_finds_it_busy() -> None:
+    # After each message that it takes, D - 1 ticks at which it takes none: (D - 1) p of 1 + (D - 1) p are lost.
+    p, service = 0.2, 5
+    rate = {"rate": f"{64 * 8 / (service * T) * 1e9!r} bit/s", "limit": 1}
+    offered = _delays(_sent({"loss": 1 - p}, ticks=2000)) != NEVER
+    taken = _delays(_sent({"loss": 1 - p, "rate": rate}, ticks=2000)) != NEVER
+    assert not (taken & ~offered).any()
+    share = (service - 1) * p / (1 + (service - 1) * p)
+    assert _close((offered & ~taken)[50:].sum(axis=0) - share * offered[50:].sum(axis=0), 0.0)
+
+
 def test_slots_take_what_has_come_and_no_more_than_they_hold() -> None:
     sent = _sent({"slot": {"every": "250 ms", "packets": 2}}, edges=1, ticks=40)
     arrivals = [int(messages.delay_ns[0]) + tick * T for tick, messages in enumerate(sent)]
     assert all(arrival % (250 * MS) == 0 for arrival in arrivals)
     assert max(np.unique(arrivals, return_counts=True)[1]) == 2
     assert arrivals == sorted(arrivals)
-    drawn = _sent({"slot": ["20 ms", "80 ms"]}, edges=200, ticks=100)
+    drawn = _sent({"slot": ["20 ms", "80 ms"]}, edges=3000, ticks=100)
     assert 0 <= _delays(drawn).min() <= _delays(drawn).max() <= 80 * MS
+    # Far from the start a message meets an interval in proportion to its length: E[X^2] / (2 E[X]) on average.
+    mean, square = 50.0, 50.0**2 + 60.0**2 / 12
+    assert _close(_delays(drawn)[-1] / MS, square / (2 * mean))
 
 
 @settings(deadline=None, max_examples=60)
@@ -294,6 +381,16 @@ def test_a_recording_is_played_again_and_again(tmp_path: Path) -> None:
     delays = _delays(_sent({"recorded": {"file": str(file), "fifo": False}}, edges=1, ticks=16))[:, 0]
     cycle = [20 * MS] * 3 + [NEVER] * 2 + [10 * MS] * 3
     assert delays.tolist() == cycle * 2
+
+
+def test_a_recording_loses_at_the_rate_of_each_line(tmp_path: Path) -> None:
+    file = tmp_path / "lte.csv"
+    file.write_text("time,delay,loss\n0,20 ms,5 %\n1,30 ms,40 %\n2,0,0\n")
+    delays = _delays(_sent({"recorded": str(file)}))
+    for first, rate, delay in ((0, 0.05, 20), (10, 0.4, 30)):
+        of_line = delays[np.arange(TICKS) % 20 // 10 * 10 == first]
+        assert set(np.unique(of_line)) == {NEVER, delay * MS}
+        assert _close((of_line == NEVER).mean(axis=0), rate)
 
 
 # --- schedules -------------------------------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ from scipy import stats
 
 from network.channel import Setting
 from network.draws import Draws
+from network.impairments.distributions import Quantile, read_table
 from network.impairments.queue import Rate
 from network.messages import NEVER
 from network.netem import Netem
@@ -199,3 +200,31 @@ def test_a_packet_occupies_the_link_as_long_as_the_kernel_says(
     assert len(arrivals) == n
     between = arrivals[-1, 2] - arrivals[0, 2]
     assert between / (n - 1) == pytest.approx(took, rel=0.05)
+
+
+# --- iproute2's tables, without a kernel -----------------------------------------------------------------------------
+TABLES = [Path(folder) for folder in ("/usr/lib/tc", "/usr/share/tc", *map(str, Path("/usr/lib").glob("*/tc")))]
+
+
+@pytest.mark.parametrize("name", ["normal", "pareto", "paretonormal"])
+def test_distributions_are_those_of_the_tables(name: Any) -> None:
+    path = next((folder / f"{name}.dist" for folder in TABLES if (folder / f"{name}.dist").exists()), None)
+    if path is None:
+        pytest.skip("needs the tables of iproute2")
+    table = read_table(path)
+    u = (np.arange(len(table)) + 0.5) / len(table)
+    ours_ = (Quantile(name, 0, 8192)(u)) / 8192
+    # The entries are multiples of 1/8192 jitter, on a grid of probabilities half a step away, which tells in the tails.
+    assert np.abs(np.sort(table) - ours_)[100:-100].max() < 0.02
+    assert (table.min(), table.max()) == pytest.approx((ours_.min(), ours_.max()), abs=0.6)
+    written = {"delay": {"time": "200 ms", "jitter": "50 ms", "table": str(path)}}
+    kernel = _tabledist(np.rint(table * 8192).astype(np.int64), 200 * MS, 50 * MS)
+    assert stats.ks_2samp(kernel, ours(written, ticks=100).ravel()).pvalue > FALSE_ALARM
+
+
+def _tabledist(table: NDArray[np.int64], mu: int, sigma: int, n: int = 40_000) -> NDArray[np.int64]:
+    """The kernel's own arithmetic: net/sched/sch_netem.c, tabledist, with NETEM_DIST_SCALE = 8192."""
+    t = table[np.random.default_rng(1).integers(0, 2**32, n) % len(table)]
+    x = (sigma % 8192) * t
+    x = np.where(x >= 0, x + 4096, x - 4096)
+    return np.asarray(np.trunc(x / 8192).astype(np.int64) + (sigma // 8192) * t + mu)
