@@ -30,10 +30,11 @@ MAX_FATES = 5_000_000
 """Of a longer log, the beginning is looked at."""
 
 FRONT_LIMIT = 5_000_000
-"""Edges times ticks up to which Assumption 1 is evaluated: about half a second's work per million."""
+"""Edges times ticks up to which Assumption 1 is evaluated: about a quarter of a second's work per million."""
 
-CONNECTIVITY_LIMIT = 10_000_000_000
-"""Agents³ times ticks up to which joint rootedness is evaluated: a few seconds' work."""
+CONNECTIVITY_LIMIT = 2_000_000_000
+"""Edges times words of 64 agents times ticks of a window times windows up to which joint rootedness is evaluated: some
+seconds' work."""
 
 
 class Logged(Protocol):
@@ -234,7 +235,10 @@ class Edges:
     @cached_property
     def connectivity(self) -> Connectivity | None:
         """Joint rootedness over windows of the assumed h*; None where that is not known, or too much work."""
-        if self.assumed_h_star_ns is None or len(self.results.agents) ** 3 * self.span.n_ticks > CONNECTIVITY_LIMIT:
+        if self.assumed_h_star_ns is None:
             return None
         window = window_of(self.assumed_h_star_ns, self.span.period_ns)
+        words = -(-len(self.results.agents) // 64)
+        if len(self) * words * window * self.span.n_ticks > CONNECTIVITY_LIMIT:
+            return None
         return connectivity(self.logs, self.results.links, self.span, window, self.leaders)
