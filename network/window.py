@@ -5,8 +5,9 @@ edge before, nothing leaves; otherwise that sample leaves at kT and arrives afte
 
 The paper leaves some of this open. The readings that it admits can be selected; the defaults are those above:
 
-- `again`, when the sample picked was sent before: nothing leaves (`skip`), or it is sent once more (`send`). Picking
-  another in its place would soon leave nothing to pick from but the newest.
+- `again`, when the sample picked was sent before: nothing leaves (`skip`); another of the window is picked, evenly
+  among those that were not picked yet (`redraw`); or it is sent once more (`send`). With `redraw`, each sample that
+  grows too old without being picked leaves one fewer to pick from, for good: in the long run there is only the newest.
 - `before_start`, when k̄ < 0: nothing leaves (`skip`), or the pick counts as one of tick 0 (`first`).
 - `draw`: every edge picks for itself (`edge`), or a sender picks once for all its receivers (`sender`); delays are
   drawn by edge in any case.
@@ -38,7 +39,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from network.channel import Batch, Channel, Setting
+from network.channel import Batch, Channel, Setting, Transmission
 from network.draws import Draws
 from network.impairments.delay import Delay
 from network.messages import NEVER, Ints
@@ -55,7 +56,7 @@ class Window(Profile):
     model: Literal["window"] = "window"
     depth: int = Field(ge=0, le=MAX_DEPTH, description="how many ticks back the sample may lie")
     delay: Delay = Field(description="the paper's is uniform: [150 ms, 250 ms]")
-    again: Literal["skip", "send"] = Field("skip", description="what if the sample picked was sent before")
+    again: Literal["skip", "redraw", "send"] = Field("skip", description="what if the sample picked was sent before")
     before_start: Literal["skip", "first"] = Field("skip", description="what if the pick lies before tick 0")
     draw: Literal["edge", "sender"] = Field("edge", description="who picks: every edge, or a sender for all of its")
     arrival: Literal["exact", "tick"] = Field("exact", description="when it arrives, or the first tick from then on")
@@ -69,6 +70,8 @@ class Window(Profile):
 
     def source(self, setting: Setting) -> Channel:
         draws = setting.draws if self.draw == "edge" else setting.draws.of_senders()
+        if self.again == "redraw":
+            return _Redraw(len(setting.links), self, draws)
         return _Window(len(setting.links), self, draws)
 
     def open(self, setting: Setting) -> Channel:
@@ -130,6 +133,28 @@ class _Window(Source):
     def _at_once(ticks: range, sent: Ints, link: Ints, stamp: Ints) -> Batch:
         zeros = np.zeros(len(link), np.int64)
         return Batch(ticks, sent, link, stamp, zeros, zeros)
+
+
+class _Redraw(Channel):
+    """Picks among the samples of the window that were not picked yet."""
+
+    def __init__(self, n_links: int, model: Window, draws: Draws) -> None:
+        self.history = model.depth
+        self._draws = draws
+        # (depth + 1, n) of ticks k - depth, …, k: those before tick 0 can be picked, or there are none.
+        self._picked = np.full((model.depth + 1, n_links), model.before_start == "first")
+
+    def transmit(self, tick: int) -> Transmission:
+        self._picked[:-1] = self._picked[1:]
+        self._picked[-1] = False
+        left = np.cumsum(~self._picked, axis=0)  # how many up to each; the newest is always among them
+        wanted = (self._draws.uniform("window", tick) * left[-1]).astype(np.int64) + 1
+        row = np.argmax(left == wanted, axis=0)
+        self._picked[row, np.arange(len(row))] = True
+        stamp = tick - self.history + row
+        link = np.flatnonzero(stamp >= 0)
+        zeros = np.zeros(len(link), np.int64)
+        return Transmission(link, stamp[link], zeros, zeros)
 
 
 class _AtTicks(Source):

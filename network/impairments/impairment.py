@@ -142,7 +142,7 @@ class Sticky:
 
     The marginal distribution stays uniform, whatever the correlation, and the autocorrelation of the numbers, and of
     every event `number < p`, is `correlation ** lag`. (netem's recurrence, x' = c x + (1 - c) u, narrows the
-    distribution, so that at a correlation of 50 % a stated loss of 5 % becomes 2 % or so.)
+    distribution, so that at a correlation of 50 % a stated loss of 10 % becomes one in a thousand.)
     """
 
     def __init__(self, setting: Setting, purpose: str, correlation: float) -> None:

@@ -122,6 +122,19 @@ def test_a_window_may_send_a_sample_again() -> None:
     assert len([row for row in again if row[0] >= 10]) == 300 * 190  # one message a tick
 
 
+def test_a_window_may_pick_another_until_only_the_newest_is_left() -> None:
+    sent = _messages(_reading(again="redraw"), ticks=600)
+    assert len({(link, stamp) for _, link, stamp in sent}) == len(sent)
+    early = [tick - stamp for tick, _, stamp in sent if 20 <= tick < 40]
+    assert 0 < np.mean(early) < 5
+    assert max(early) == 10
+    late = [tick - stamp for tick, _, stamp in sent if tick >= 500]
+    assert np.mean(late) < np.mean(early) / 2
+    assert np.mean(np.array(late) == 0) > 0.5
+    newest = _messages(_reading(again="redraw", before_start="first"))
+    assert all(tick == stamp for tick, _, stamp in newest)
+
+
 def test_a_pick_before_the_start_may_count_as_the_first_sample() -> None:
     clipped, skipped = _messages(_reading(before_start="first", again="send")), _messages(_reading(again="send"))
     assert len(clipped) == 300 * 200
@@ -152,7 +165,7 @@ def test_arrivals_may_be_noticed_at_ticks() -> None:
 @given(
     st.fixed_dictionaries(
         {
-            "again": st.sampled_from(["skip", "send"]),
+            "again": st.sampled_from(["skip", "send", "redraw"]),
             "before_start": st.sampled_from(["skip", "first"]),
             "draw": st.sampled_from(["edge", "sender"]),
             "arrival": st.sampled_from(["exact", "tick"]),

@@ -103,9 +103,9 @@ def cable() -> Iterator[Cable]:
 
 
 @pytest.fixture(scope="module")
-def overhead(cable: Cable) -> NDArray[np.int64]:
-    """What a packet takes beyond its delay, in nanoseconds."""
-    return delays_of(cable.send("delay 100ms")) - 100 * MS
+def overhead(cable: Cable) -> int:
+    """What a packet takes beyond its delay, in nanoseconds: the median, as a busy machine stalls now and then."""
+    return int(np.median(delays_of(cable.send("delay 100ms")))) - 100 * MS
 
 
 def delays_of(arrivals: Arrivals) -> NDArray[np.int64]:
@@ -128,13 +128,12 @@ def runs_of(lost: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 @pytest.mark.parametrize("distribution", ["uniform", "normal", "pareto", "paretonormal"])
-def test_delays_have_the_kernels_distribution(cable: Cable, overhead: NDArray[np.int64], distribution: str) -> None:
+def test_delays_have_the_kernels_distribution(cable: Cable, overhead: int, distribution: str) -> None:
     named = "" if distribution == "uniform" else f" distribution {distribution}"
     # Long delays: a busy machine wakes up late by some milliseconds, now more, now less.
     kernel = delays_of(cable.send(f"delay 800ms 200ms{named}"))
     written = {"delay": {"time": "800 ms", "jitter": "200 ms", "distribution": distribution}}
-    expected = ours(written, ticks=100).ravel()
-    expected = expected + np.resize(overhead, len(expected))
+    expected = ours(written, ticks=100).ravel() + overhead
     assert stats.ks_2samp(kernel, expected).pvalue > FALSE_ALARM
 
 
