@@ -190,7 +190,7 @@ class _Version(argparse.Action):
 
 
 def _parser() -> argparse.ArgumentParser:
-    from cosim import cli_fmu
+    from cosim import cli_fmu, cli_ssp
 
     parser = argparse.ArgumentParser(
         prog="cosim",
@@ -240,6 +240,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_channel(commands)
     _add_keys(commands)
     cli_fmu.add(commands, _command, _seconds)
+    cli_ssp.add(commands, _command)
     _add_hosts(commands)
     process = commands.add_parser("_process")  # what `cosim run --distributed` starts; not for people
     process.add_argument("name")

@@ -112,7 +112,7 @@ def inspect(path: Path) -> Archive:
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
-            _check(path, members)
+            check_members(path, members)
             said = archive.read(ORIGINAL) if any(member.filename == ORIGINAL for member in members) else None
             original = None if said is None else Original.parse(said)
     except FileNotFoundError:
@@ -146,7 +146,7 @@ def unpack(archive: Archive, wanted: Callable[[str], bool]) -> Path:
     return folder
 
 
-def _check(path: Path, members: Sequence[zipfile.ZipInfo]) -> None:
+def check_members(path: Path, members: Sequence[zipfile.ZipInfo]) -> None:
     """Refuse what could write outside the folder, or fill the disk. `zipfile` unpacks no more than a member declares.
 
     Raises:

@@ -1,0 +1,266 @@
+"""`cosim ssp import`: a package becomes a scenario of one agent, and a folder with its FMUs beside it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from cosim.components.component import Description, Value, Variable
+from cosim.components.units import IDENTITY, Measure, Scale, conversion, measure
+from cosim.errors import ConfigError, Problem, suggest
+from cosim.scenario.source import Lines, dump
+from cosim.ssp.flattening import End, Flat, Setting, Wire, flatten
+from cosim.ssp.package import Package
+from cosim.ssp.structure import Connection, Connector, Reader, Structure
+
+_ELEMENT = re.compile(r"(?P<array>.+)\[(?P<indices>\d+(?:, ?\d+)*)\]")
+
+
+def import_package(path: Path, out: Path) -> list[Path]:
+    """Write the scenario of a package, and its FMUs into a folder beside it; the files written.
+
+    Raises:
+        ConfigError: the package is broken, or holds what is not supported; or a file exists already.
+    """
+    package = Package(path)
+    structure = Reader(package).read()
+    flat = flatten(structure.system)
+    folder = f"{out.stem}_fmus"
+    files = _place(package, flat, out.parent / folder)
+    try:
+        text = _Import(structure, flat, {member: file for member, (file, _) in files.items()}, folder).text(path.name)
+        with out.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        _remove(files, out.parent / folder)
+        raise ConfigError([Problem(f"{out} exists already; choose another name with -o or remove it")]) from None
+    except BaseException:
+        _remove(files, out.parent / folder)
+        raise
+    return [out, *(file for file, _ in files.values())]
+
+
+def _place(package: Package, flat: Flat, folder: Path) -> dict[str, tuple[Path, bool]]:
+    """Write the FMUs, each once: by member, its file, and whether it is new."""
+    files: dict[str, tuple[Path, bool]] = {}
+    for component in flat.components.values():
+        if component.member in files:
+            continue
+        stem, taken = Path(component.member).stem, [file.name for file, _ in files.values()]
+        name = next(n for i in range(len(files) + 1) if (n := f"{stem}{f'-{i + 1}' if i else ''}.fmu") not in taken)
+        content = package.read(component.member)
+        file = folder / name
+        new = not (file.is_file() and file.read_bytes() == content)
+        if new and file.exists():
+            raise ConfigError([Problem(f"{file} exists already and is another file; choose another name with -o")])
+        if new:
+            folder.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(content)
+        files[component.member] = file, new
+    return files
+
+
+def _remove(files: Mapping[str, tuple[Path, bool]], folder: Path) -> None:
+    for file, new in files.values():
+        if new:
+            file.unlink(missing_ok=True)
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
+
+
+class _Import:
+    """Builds the scenario, once the FMUs lie where it will find them."""
+
+    def __init__(self, structure: Structure, flat: Flat, files: Mapping[str, Path], folder: str) -> None:
+        from cosim.components.fmu import describe
+
+        self._structure = structure
+        self._flat = flat
+        self._files = files
+        self._folder = folder
+        self._problems = list(flat.problems)
+        self._inputs: dict[str, dict[str, Any]] = {}
+        self._outputs: dict[str, dict[str, Any]] = {}
+        self._descriptions: dict[tuple[str, ...], Description] = {}
+        for path, component in flat.components.items():
+            structural = {
+                name: int(setting.parameter.values[0])
+                for (owner, name), setting in flat.settings.items()
+                if owner == path and isinstance(setting.parameter.values[0], int)
+            }
+            try:
+                self._descriptions[path] = describe(files[component.member], structural)
+            except ConfigError as error:
+                self._problems += [Problem(problem.message, component.node.where) for problem in error.problems]
+
+    def text(self, source: str) -> str:
+        """The scenario.
+
+        Raises:
+            ConfigError: everything that is wrong.
+        """
+        if self._problems:
+            raise ConfigError(self._problems)
+        connections = [line for wire in self._flat.wires if (line := self._connection(wire)) is not None]
+        starts = self._starts()
+        record = [self._reference(end, self._outputs) for end in self._flat.outputs.values() if self._variable(end)]
+        if self._problems:
+            raise ConfigError(self._problems)
+        components = {}
+        for path, component in self._flat.components.items():
+            name = self._flat.names[path]
+            tree: dict[str, Any] = {"fmu": f"{self._folder}/{self._files[component.member].name}"}
+            for key, found in (("inputs", self._inputs), ("outputs", self._outputs), ("start", starts)):
+                if name in found:
+                    tree[key] = found[name]
+            components[name] = tree
+        name = re.sub(r"[^A-Za-z0-9_-]+", "_", self._structure.system.name).strip("_-") or "system"
+        agent: dict[str, Any] = {"components": components, "connections": Lines(connections)}
+        if record:
+            agent["record"] = Lines(dict.fromkeys(record))
+        scenario: dict[str, Any] = {"name": name, "period": "10 ms", "duration": f"{self._duration():.9g} s"}
+        scenario["agents"] = {name: {key: value for key, value in agent.items() if value}}
+        if (method := self._method()) is not None:
+            scenario["coupling"] = {"method": method}
+        return "".join(f"# {line}\n" for line in self._preface(source)) + dump(scenario)
+
+    def _preface(self, source: str) -> Iterator[str]:
+        yield f"From {source}. A package has neither a network nor a period: choose the one at which values are"
+        yield "recorded and exchanged with others; in between the agent takes micro steps (`coupling: {step: …}`)."
+        if self._structure.start:
+            yield f"Its experiment begins at {self._structure.start:g} s; here time begins at 0."
+        if self._flat.open_inputs:
+            yield "Inputs of the system, which `receive:` or `bridge:` can feed:"
+            for name, ends in self._flat.open_inputs.items():
+                yield f"  {name}: {', '.join(f'{self._flat.names[p]}.{v}' for p, v in ends) or 'leads nowhere'}"
+
+    def _duration(self) -> float:
+        stop, start = self._structure.stop, self._structure.start or 0.0
+        return stop - start if stop is not None and stop > start else 10.0
+
+    def _method(self) -> str | None:
+        """What the package asks for, if all its components ask for the same."""
+        asked = {x.implementation for x in self._flat.components.values()} - {"any"}
+        return {"ModelExchange": "joint", "CoSimulation": "midpoint"}.get(asked.pop()) if len(asked) == 1 else None
+
+    # --- connections ------------------------------------------------------------------------------------------------
+    def _variable(self, end: End) -> Variable | None:
+        """The variable, or the array that it is an element of."""
+        variables = self._descriptions[end[0]].variables
+        element = _ELEMENT.fullmatch(end[1])
+        return variables.get(end[1]) or (variables.get(element["array"]) if element else None)
+
+    def _connection(self, wire: Wire) -> str | None:
+        found = []
+        for end, connection in ((wire.source, wire.through[0]), (wire.target, wire.through[-1])):
+            variable = self._variable(end)
+            if variable is None:
+                known = self._descriptions[end[0]].variables
+                fmu = self._flat.components[end[0]].member
+                self._problem(f"{fmu} has no variable {end[1]!r}{suggest(end[1], known)}", connection)
+                return None
+            found.append(variable)
+        source = self._reference(wire.source, self._outputs)
+        scale = self._scale(wire, *found)
+        return f"{source} -> {self._reference(wire.target, self._inputs, scale)}"
+
+    def _scale(self, wire: Wire, source: Variable, target: Variable) -> Scale | None:
+        """What must be said of a wire's scaling; None where the units of the FMUs say enough."""
+        plain = all(connection.scale is None and not connection.suppressed for connection in wire.through)
+        declared = [self._measure(connector) for connector in wire.ends]
+        measures = [source.measure or declared[0], *declared[1:-1], target.measure or declared[-1]]
+        if plain and None not in (source.measure, target.measure):
+            return None
+        total, at = IDENTITY, measures[0]
+        for connection, following in zip(wire.through, measures[1:], strict=True):
+            if at is not None and following is not None and not connection.suppressed:
+                converted = conversion(at, following)
+                if converted is None:
+                    self._problem(f"units that measure different things: {at} and {following}", connection)
+                    return None
+                total = converted.after(total)
+            if connection.scale is not None:
+                total = connection.scale.after(total)
+            at = following if following is not None or connection.suppressed else at
+        return None if plain and total == IDENTITY else total
+
+    def _measure(self, connector: Connector | None) -> Measure | None:
+        if connector is None or connector.unit is None:
+            return None
+        return self._structure.units.get(connector.unit) or measure(connector.unit)
+
+    def _reference(self, end: End, mapped: dict[str, dict[str, Any]], scale: Scale | None = None) -> str:
+        """`component.variable`, after what is scaled or an element of an array got a name."""
+        name, variable = self._flat.names[end[0]], end[1]
+        is_element = variable not in self._descriptions[end[0]].variables
+        if not is_element and scale is None:
+            return f"{name}.{variable}"
+        alias = re.sub(r"\W+", "_", variable).strip("_") if is_element else variable
+        written: Any = variable
+        if scale is not None:
+            written = {"to": variable, "gain": scale.gain, "offset": scale.offset}
+        mapped.setdefault(name, {})[alias] = written
+        return f"{name}.{alias}"
+
+    def _problem(self, message: str, connection: Connection) -> None:
+        self._problems.append(Problem(message, connection.node.where))
+
+    # --- start values -----------------------------------------------------------------------------------------------
+    def _starts(self) -> dict[str, dict[str, Any]]:
+        starts: dict[str, dict[str, Any]] = {}
+        for (path, name), setting in self._flat.settings.items():
+            variable = self._variable((path, name))
+            if variable is None:
+                known = self._descriptions[path].variables
+                fmu = self._flat.components[path].member
+                self._problems.append(
+                    Problem(f"{fmu} has no variable {name!r}{suggest(name, known)}", setting.parameter.node.where)
+                )
+                continue
+            if name in self._inputs.get(self._flat.names[path], {}):
+                continue  # it is connected, and so never has this value
+            values = self._values(setting, variable)
+            own = starts.setdefault(self._flat.names[path], {})
+            element = _ELEMENT.fullmatch(name) if variable.name != name else None
+            if element is None:
+                own[name] = _nested(values, variable.shape)
+            else:
+                own[variable.name] = _with_element(own.get(variable.name), variable, element["indices"], values[0])
+        return starts
+
+    def _values(self, setting: Setting, variable: Variable) -> list[Value]:
+        parameter = setting.parameter
+        unit = setting.units.get(parameter.unit or "") or measure(parameter.unit)
+        scale = IDENTITY
+        if unit is not None and variable.measure is not None and not setting.suppressed:
+            converted = conversion(unit, variable.measure)
+            if converted is None:
+                text = f"{parameter.name} is in {parameter.unit}, and {variable.name} in {variable.unit}"
+                self._problems.append(Problem(text, parameter.node.where))
+            scale = converted or IDENTITY
+        if setting.scale is not None:
+            scale = setting.scale.after(scale)
+        if scale == IDENTITY:
+            return list(parameter.values)
+        return [scale(x) if isinstance(x, float) else x for x in parameter.values]
+
+
+def _nested(values: list[Value], shape: tuple[int, ...]) -> Any:
+    """As a scenario writes start values: one, or one per element."""
+    return values if shape and len(values) > 1 else values[0]
+
+
+def _with_element(present: Any, variable: Variable, indices: str, value: Value) -> list[Any]:
+    """All start values of an array, one of them new."""
+    if isinstance(present, list):
+        values = list(present)
+    else:
+        given = variable.start if present is None else (present,) * variable.size
+        values = list(given or (0.0,) * variable.size)
+    place = 0
+    for index, size in zip(indices.split(","), variable.shape, strict=True):
+        place = place * size + int(index) - 1
+    values[place] = value
+    return values
