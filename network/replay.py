@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
 
-from network.channel import Channel, ChannelModel, Setting, Transmission
+from network.channel import Batch, Channel, ChannelModel, Setting, Transmission
 from network.files import file_read_by
 from network.messages import NEVER, Ints
+from network.units import format_duration
 
 _COLUMNS = ("sender", "receiver", "stamp", "sent", "arrival_ns", "fate")
 
@@ -40,10 +42,23 @@ class Replay(ChannelModel):
     )
 
     def open(self, setting: Setting) -> Channel:
+        recorded = _period_of(Path(self.file).with_name("manifest.json"))
+        if recorded not in {0, setting.period_ns}:
+            this = format_duration(setting.period_ns)
+            raise ValueError(f"the recorded run has a period of {format_duration(recorded)}, this one of {this}")
         return _Replay(read_deliveries(Path(self.file)), setting)
 
     def min_delay_ns(self) -> int:
         return 0
+
+
+def _period_of(manifest: Path) -> int:
+    """T of a recorded run in nanoseconds; 0 where that is not known."""
+    try:
+        found = json.loads(manifest.read_text(encoding="utf-8"))["period_ns"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return 0
+    return found if isinstance(found, int) else 0
 
 
 class _Replay(Channel):
@@ -80,6 +95,9 @@ class _Replay(Channel):
         return position - np.maximum.accumulate(np.where(same, 0, position))
 
     def transmit(self, tick: int) -> Transmission:
-        begin, end = np.searchsorted(self._sent, (tick, tick + 1)).tolist()
-        part = slice(begin, end)
-        return Transmission(self._link[part], self._stamp[part], self._delay[part], self._copy[part])
+        (sent,) = self.transmit_many(range(tick, tick + 1)).by_tick()
+        return sent
+
+    def transmit_many(self, ticks: range) -> Batch:
+        part = slice(*np.searchsorted(self._sent, (ticks.start, ticks.stop)).tolist())
+        return Batch(ticks, self._sent[part], self._link[part], self._stamp[part], self._delay[part], self._copy[part])

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from cosim.planning.graph import Edge, links_of
 from cosim.planning.problems import Problems
 from cosim.scenario.reading import Scenario
@@ -11,6 +13,7 @@ from network.channel import Setting
 from network.conformance import Rule, violations
 from network.custom import Custom
 from network.draws import Draws
+from network.messages import NEVER
 from network.replay import Replay
 
 _TICKS, _EDGES = 70, 20  # a class of the user's own is tried for so long, on so many
@@ -23,10 +26,19 @@ def try_channels(scenario: Scenario, edges: Sequence[Edge], problems: Problems) 
         served = [edge for edge in edges if edge.channel == name]
         if isinstance(model, Replay):
             draws = Draws(0, [edge.sender for edge in served], [edge.receiver for edge in served])
+            links, period = links_of(served, list(scenario.agents)), scenario.spec.period
             try:
-                model.open(Setting(links_of(served, list(scenario.agents)), scenario.spec.period, draws, 8))
+                channel = model.open(Setting(links, period, draws, 8))
             except ValueError as error:
                 problems.error(f"channels.{name}: {error}", where)
+                continue
+            sent = channel.transmit_many(range(scenario.spec.duration // period))
+            arrives = (sent.delay_ns != NEVER) & (sent.sent * period + sent.delay_ns < scenario.spec.duration)
+            for link in np.setdiff1d(np.arange(len(served)), sent.link[arrives]).tolist():
+                edge = served[link]
+                problems.warning(
+                    f"the channel {name!r} delivers nothing from {edge.sender} to {edge.receiver} in this run", where
+                )
         elif isinstance(model, Custom):
             some = [(edge.sender, edge.receiver) for edge in served[:_EDGES]]
             for violation in violations(model.served, n_ticks=_TICKS, period_ns=scenario.spec.period, edges=some):

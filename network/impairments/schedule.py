@@ -42,9 +42,12 @@ def _ordinals(value: Any) -> Any:
         first, dots, last = str(item).partition("..")
         if not first.strip().isdigit() or (dots and not last.strip().isdigit()):
             raise ValueError(f"{item!r} is no message: they are counted from 1, such as 3 or 10..20")
-        ordinals += range(int(first), int(last or first) + 1)
-        if len(ordinals) > 1_000_000:
+        named = range(int(first), int(last or first) + 1)
+        if not named:
+            raise ValueError(f"{item!r}: a range begins with the lesser number")
+        if len(ordinals) + (named[-1] - named[0] + 1) > 1_000_000:
             raise ValueError("more than a million messages; use `down` windows")
+        ordinals += named
     if min(ordinals, default=1) < 1:
         raise ValueError("messages are counted from 1")
     return sorted(set(ordinals))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import pickle
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from network.draws import Draws
 from network.emulator import Emulator, EmulatorError
 from network.messages import NEVER, Deliveries, Fate, Links, MessageLayout
 from network.netem import Ideal, Netem
+from network.replay import Replay
 from network.window import Window
 from tests.network.networks import LAYOUT, T, dense_links, emulator_of, links_of, play, rows
 
@@ -326,3 +328,23 @@ def test_several_ticks_and_groups_at_once_are_those_one_by_one(
                     assert (got.values == expected.mail[agent].values).all()
         assert not fates
         tick += stretch.n_ticks
+
+
+def test_a_recorded_network_happens_again(tmp_path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    links = dense_links(6, 3)
+    model = Netem.model_validate({"delay": ["10 ms", "330 ms"], "loss": "20 %", "duplicate": "10 %"})
+    names = ["paper", "all"] * 9
+    fates = play(Emulator(links, {"paper": MODELS["paper"], "all": model}, names, LAYOUT, 4, T), 6, 120)
+    table = {name: getattr(fates, name) for name in ("stamp", "sent", "arrival_ns")}
+    table["sender"], table["receiver"] = ([links.agents[i] for i in ends] for ends in (fates.sender, fates.receiver))
+    table["fate"] = [Fate(fate).name.lower() for fate in fates.fate]
+    pq.write_table(pa.table(table), tmp_path / "deliveries.parquet")
+    replay = Replay.model_validate({"file": str(tmp_path / "deliveries.parquet")})
+    again = play(emulator_of(links, replay, seed=5), 6, 120)
+    assert rows(again) == rows(fates)
+    fewer = links_of(links.agents, [(int(links.sender[i]), int(links.receiver[i])) for i in (3, 11)])
+    wanted = set(zip(fewer.sender.tolist(), fewer.receiver.tolist(), strict=True))
+    assert rows(play(emulator_of(fewer, replay), 6, 120)) == [row for row in rows(fates) if row[:2] in wanted]

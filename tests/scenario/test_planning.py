@@ -368,6 +368,30 @@ def test_a_replay_must_know_the_edges(tmp_path: Path) -> None:
         planned(tmp_path, text)
 
 
+def test_a_replay_that_delivers_nothing_on_an_edge(tmp_path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pairs = [("1", "2"), ("2", "3"), ("3", "1"), ("2", "1")]
+    n = len(pairs)
+    columns = {
+        "sender": [pair[0] for pair in pairs],
+        "receiver": [pair[1] for pair in pairs],
+        "stamp": [0] * n,
+        "sent": [0] * n,
+        "arrival_ns": [-1, *[1] * (n - 1)],
+        "fate": ["lost", *["delivered"] * (n - 1)],
+    }
+    pq.write_table(pa.table(columns), tmp_path / "deliveries.parquet")
+    (warning,) = planned(
+        tmp_path, changed(("fast: {model: ideal}", "fast: {model: replay, file: deliveries.parquet}"))
+    ).warnings
+    assert "delivers nothing from 1 to 2 in this run" in warning.message
+    (tmp_path / "manifest.json").write_text('{"period_ns": 50000000}')
+    with pytest.raises(ConfigError, match=r"the recorded run has a period of 50 ms, this one of 100 ms"):
+        planned(tmp_path, changed(("fast: {model: ideal}", "fast: {model: replay, file: deliveries.parquet}")))
+
+
 def test_midpoint_wants_the_plant_before_its_controller(tmp_path: Path) -> None:
     components = BASE[BASE.index("      plant:") : BASE.index("    connections:")]
     plant, controller = components.split("      controller:")
