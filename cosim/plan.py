@@ -91,6 +91,7 @@ class ComponentPlan:
     Attributes:
         start: start values and parameters by variable name, flat, numbers drawn; structural parameters among them.
         isolation: None where it lives in the agent's own process.
+        cvode: tolerance with which CVODE steps it through Model Exchange; None where it is used as it is.
     """
 
     name: str
@@ -99,6 +100,7 @@ class ComponentPlan:
     description: Description
     start: Mapping[str, tuple[Value, ...]]
     isolation: Isolation | None = None
+    cvode: float | None = None
 
 
 @dataclass(frozen=True)

@@ -242,6 +242,10 @@ class Component(ABC):
     def derivatives(self) -> Floats:
         raise NotImplementedError
 
+    def nominals(self) -> Floats:
+        """Shape (n_states,): the usual size of each state."""
+        return np.ones(self.n_states)
+
     def event_indicators(self) -> Floats:
         """Shape (n_indicators,): a change of sign is a state event."""
         raise NotImplementedError

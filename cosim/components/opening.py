@@ -49,8 +49,7 @@ def open_components(plan: AgentPlan, logs: Logs = NO_LOGS) -> list[Component]:
     try:
         for part in plan.components:
             log = logs.sink(f"{plan.name}.{part.name}")
-            open_part = _here if part.isolation is None else _isolated
-            component = open_part(part, interface, log)
+            component = _open(part, interface, log)
             components.append(component)
             set_start_values(component, part)
     except ComponentError as error:
@@ -78,6 +77,15 @@ def open_component(  # noqa: PLR0917
     from cosim.components.python import PythonInstance
 
     return PythonInstance(name, python or "", interface, description)
+
+
+def _open(plan: ComponentPlan, interface: Interface, log: Sink) -> Component:
+    open_part = _here if plan.isolation is None else _isolated
+    if plan.cvode is None:
+        return open_part(plan, interface, log)
+    from cosim.components.cvode import CvodeComponent
+
+    return CvodeComponent(open_part(plan, Interface.MODEL_EXCHANGE, log), plan.cvode)
 
 
 def _here(plan: ComponentPlan, interface: Interface, log: Sink) -> Component:

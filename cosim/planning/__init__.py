@@ -258,7 +258,15 @@ def _components(
         of_part = [_starts(part, names, seed) for part in parts]
         for name, starts in zip(names, zip(*of_part, strict=True), strict=True):
             found[name] = tuple(
-                ComponentPlan(part.name, part.origin.path, part.origin.python, part.description, start, part.isolation)
+                ComponentPlan(
+                    part.name,
+                    part.origin.path,
+                    part.origin.python,
+                    part.description,
+                    start,
+                    part.isolation,
+                    part.cvode,
+                )
                 for part, start in zip(parts, starts, strict=True)
             )
     return found

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from cosim.components.component import Description, Value
+from cosim.components.component import Description, Interface, Value
 from cosim.components.presented import in_unit_of
 from cosim.errors import Location, suggest
 from cosim.plan import Connection, CouplingPlan, Isolation, Port
@@ -31,6 +31,7 @@ class Part:
     mapped: Mapped
     start: Mapping[str, tuple[Element, ...]]
     isolation: Isolation | None = None
+    cvode: float | None = None
 
     @property
     def description(self) -> Description:
@@ -131,9 +132,28 @@ def _part(
         description = describer.describe(origin, structural, where)
         if description is None:
             return None
+    if spec.solver is not None:
+        description = _with_solver(name, description, node, problems)
     mapped = map_names(description, spec, node, problems)
     start.update(_start_values(spec, node, mapped, problems, structural=False))
-    return Part(name, origin, mapped, start, _isolation(spec, node, problems))
+    cvode = None if spec.solver is None else spec.tolerance
+    return Part(name, origin, mapped, start, _isolation(spec, node, problems), cvode)
+
+
+def _with_solver(name: str, description: Description, node: Node, problems: Problems) -> Description:
+    """A component that offers Model Exchange, as one of Co-Simulation."""
+    if Interface.MODEL_EXCHANGE not in description.interfaces:
+        problems.error(
+            f"'solver' takes Model Exchange, which {name!r} does not offer; leave it out", node.locate("solver")
+        )
+    return replace(
+        description,
+        interfaces=(Interface.CO_SIMULATION,),
+        variable_step=True,
+        internal_step=None,
+        asynchronous=False,
+        can_get_and_set_state=False,
+    )
 
 
 def _isolation(spec: ComponentSpec, node: Node, problems: Problems) -> Isolation | None:

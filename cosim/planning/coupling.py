@@ -114,6 +114,8 @@ def _in_python(
     for name, component in entry.spec.components.items():
         if component.isolate is not None:
             found.setdefault(name, f"{name!r} is isolated")
+        if component.solver is not None:
+            found.setdefault(name, f"{name!r} is stepped by {component.solver}")
     for name, description in descriptions.items():
         if name in found or method is Method.JOINT:
             continue

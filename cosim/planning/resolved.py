@@ -136,11 +136,14 @@ def _component(part: Part, spec: ComponentSpec) -> Tree:
     """A component without its start values."""
     python = part.origin.python
     origin = {"fmu": _fmu_text(spec.fmu or "", str(part.origin.path))} if python is None else {"python": python}
-    written = spec.model_dump(mode="json", by_alias=True, exclude_unset=True, include={"sha256", "inputs", "outputs"})
+    kept = {"sha256", "inputs", "outputs", "solver"}
+    written = spec.model_dump(mode="json", by_alias=True, exclude_unset=True, include=kept)
     if spec.step is not None:
         written["step"] = format_duration(spec.step)
     if part.isolation is not None:
         written["isolate"] = {"deadline": format_duration(part.isolation.deadline_ns)}
+    if part.cvode is not None:
+        written["tolerance"] = part.cvode
     return origin | {key: value for key, value in written.items() if value}
 
 

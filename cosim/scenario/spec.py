@@ -249,6 +249,13 @@ class ComponentSpec(Spec):
         "hurts nothing else. Numbers stay the same; a micro step costs some 0.1 ms more.",
     )
 
+    solver: Literal["cvode"] | None = Field(
+        None,
+        description="cvode: a component that offers Model Exchange is used as Co-Simulation, with CVODE inside; for "
+        "stiff models, beside black boxes.",
+    )
+    tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(1e-8, description="Relative, for cvode.")
+
     @model_validator(mode="after")
     def _one_kind(self) -> ComponentSpec:
         if self.fmu is not None and self.python is not None:

@@ -361,6 +361,10 @@ fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance i, fmi3Float64 dx[], s
     if (n) dx[0] = rate(i);
     return fmi3OK;
 }
+fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance i, fmi3Float64 x[], size_t n) {
+    if (i && n) x[0] = 1.0;
+    return fmi3OK;
+}
 fmi3Status fmi3GetEventIndicators(fmi3Instance i, fmi3Float64 z[], size_t n) { return (fmi3Status)indicate(i, z, n); }
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance i, fmi3Boolean final, fmi3Boolean *event, fmi3Boolean *stop) {
     (void)final;
@@ -446,6 +450,9 @@ fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t n) {
 }
 fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real dx[], size_t n) {
     return (fmi2Status)fmi3GetContinuousStateDerivatives(c, dx, n);
+}
+fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x[], size_t n) {
+    return (fmi2Status)fmi3GetNominalsOfContinuousStates(c, x, n);
 }
 fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real z[], size_t n) { return (fmi2Status)indicate(c, z, n); }
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean final, fmi2Boolean *event, fmi2Boolean *stop) {

@@ -75,9 +75,9 @@ def path(name: str, version: str) -> Path:
     return Path(FOLDER) / version / f"{name}.fmu"
 
 
-def scenario(name: str, version: str, coupling: dict[str, str], until: float | None = None, **start: Any) -> Plan:
+def scenario(name: str, version: str, coupling: dict[str, str], until: float | None = None, **component: Any) -> Plan:
     experiment = EXPERIMENTS[name]
-    component = {"fmu": str(path(name, version)), "start": start}
+    component["fmu"] = str(path(name, version))
     tree = {
         "name": "reference",
         "seed": 1,
@@ -181,6 +181,14 @@ def test_the_exact_solution(name: str, version: str, integrator: str) -> None:
         assert np.abs(result[column] - expected).max() < 2e-8 * max(1.0, np.abs(expected).max())
 
 
+@pytest.mark.parametrize(("name", "version"), [case for case in CASES if case[0] in {"BouncingBall", "VanDerPol"}])
+def test_stepped_by_cvode(name: str, version: str) -> None:
+    result = play(scenario(name, version, {"method": "jacobi", "step": "10 ms"}, solver="cvode", tolerance=1e-10))
+    times = np.linspace(0.0, EXPERIMENTS[name].until, len(next(iter(result.values()))))
+    for column, expected in exact(name, times).items():
+        assert np.abs(result[column] - expected).max() < 1e-5
+
+
 STARTS: dict[str, Any] = {
     "Float64_continuous_input": -2.5,
     "Float64_discrete_input": 1e300,
@@ -207,7 +215,7 @@ STARTS3: dict[str, Any] = {
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_values_of_every_type(version: str, method: str) -> None:
     starts = STARTS if version == "2.0" else STARTS | STARTS3
-    result = play(scenario("Feedthrough", version, {"method": method}, until=0.2, **starts))
+    result = play(scenario("Feedthrough", version, {"method": method}, until=0.2, start=starts))
     numeric = {name: value for name, value in starts.items() if not name.startswith(("String", "Binary"))}
     for name, value in numeric.items():
         expected = 2 if value == "Option 2" else value

@@ -315,6 +315,9 @@ class FmuComponent(Component):
     @abstractmethod
     def _update_discrete_states(self) -> tuple[bool, bool, bool, bool, bool, float]: ...
 
+    def nominals(self) -> Floats:
+        return self._get_vector(f"fmi{self._fmi}GetNominalsOfContinuousStates")
+
     def event_indicators(self) -> Floats:
         vector, pointer = _memory(self.n_indicators)
         self._call(f"fmi{self._fmi}GetEventIndicators", pointer, self.n_indicators)
