@@ -17,6 +17,7 @@ from cosim.agents import Agents
 from cosim.errors import Location, Problem, Severity
 from cosim.plan import AgentPlan, ComponentPlan, CouplingPlan, Loop, Method, Plan
 from cosim.scenario.names import in_short
+from cosim.scenario.source import dump_on_one_line
 from cosim.theory import mu, published_bound
 from cosim.topology import kappa, reached_by, roots
 from network.units import format_duration, to_seconds
@@ -178,7 +179,7 @@ def _channels(plan: Plan) -> list[str]:
 
 
 def _plain(value: object) -> str:
-    return " to ".join(map(str, value)) if isinstance(value, list) else str(value)
+    return " to ".join(map(str, value)) if isinstance(value, list) else dump_on_one_line(value)
 
 
 # --- who is outside ---------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from cosim.recording.manifest import command_line, folder_problem, versions, wri
 from cosim.reporting import network, page
 from cosim.reporting.edges import Edges
 from cosim.reporting.words import Rows
-from cosim.scenario.source import dump
+from cosim.scenario.source import dump, dump_on_one_line
 from cosim.stopping import StopRequest
 from network.units import format_duration
 
@@ -124,18 +124,9 @@ def _setting(subject: Subject) -> Rows:
     n = len(subject.links)
     played = f"{subject.n_ticks} ticks of {format_duration(subject.period_ns)} on {n} edge{'' if n == 1 else 's'}"
     return [
-        ("Channel", in_one_line(subject.model.as_written())),
+        ("Channel", dump_on_one_line(subject.model.as_written())),
         ("Played", f"{played}, seed {subject.seed}, messages of {subject.size} B"),
     ]
-
-
-def in_one_line(tree: Any) -> str:
-    """YAML in flow style, as people write a short mapping."""
-    if isinstance(tree, dict):
-        return "{" + ", ".join(f"{key}: {in_one_line(value)}" for key, value in tree.items()) + "}"
-    if isinstance(tree, list):
-        return "[" + ", ".join(in_one_line(value) for value in tree) + "]"
-    return dump(tree).removesuffix("...\n").strip()
 
 
 def _print_fit(path: Path, fitted: Fitted) -> None:
@@ -146,7 +137,7 @@ def _print_fit(path: Path, fitted: Fitted) -> None:
     parts = [("Delays, by maximum likelihood", delays), ("How well it fits", fit.goodness(fitted))]
     if losses:
         parts.insert(0, ("Losses, by maximum likelihood", losses))
-    channel = [("Channel", in_one_line(fitted.model.as_written()))]
+    channel = [("Channel", dump_on_one_line(fitted.model.as_written()))]
     print(path.name)
     for line in sections((("", fit.summary(fitted)), *parts, ("The profile", channel))):
         print(line)

@@ -20,7 +20,7 @@ AFTER_S = 5.0
 
 def meanwhile_table(scene: Scene) -> Table | None:
     """Per incident the disagreement when it began, at its largest and afterwards; None where there was none."""
-    from cosim.reporting.figures.disagreement import largest_deviation
+    from cosim.reporting.figures.disagreement import deviations
     from cosim.reporting.figures.scene import NotDrawn
 
     edges, results = scene.edges, scene.results
@@ -34,7 +34,7 @@ def meanwhile_table(scene: Scene) -> Table | None:
         except NotDrawn:
             continue
         columns.append(f"{label}{signal.unit_text}")
-        curves.append(largest_deviation(scene, signal, role))
+        curves.append((deviations(scene, signal, role), [results.agents[i] for i in signal.agents]))
     if not curves:
         return None
     period = results.period_ns / 1e9
@@ -45,9 +45,11 @@ def meanwhile_table(scene: Scene) -> Table | None:
         wanted = np.array((begin, end, end + AFTER_S)) - period / 2
         at = np.searchsorted(scene.time, wanted).clip(max=len(scene.time) - 1)
         during = slice(int(at[0]), int(at[1]) + 1)
-        values = [
-            " → ".join(number(float(value), digits=2) for value in (curve[at[0]], curve[during].max(), curve[at[2]]))
-            for curve in curves
-        ]
+        values = []
+        for of_agent, names in curves:
+            curve = of_agent.max(axis=1)
+            most = during.start + int(np.argmax(curve[during]))
+            before, largest, after = (number(float(curve[i]), digits=2) for i in (at[0], most, at[2]))
+            values.append(f"{before} → {largest} ({names[int(np.argmax(of_agent[most]))]}) → {after}")
         rows.append((f"{begin:g} – {end:g} s", edges.names(links), *values))
     return Table(tuple(columns), rows, len(edges.incidents) - len(rows))

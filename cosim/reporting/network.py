@@ -27,6 +27,9 @@ OPEN_ROWS = 10
 MOST_ROWS = 1000
 """Of a table of edges, the folded ones included."""
 
+MOST_NAMED = 8
+"""Channels in a sentence."""
+
 FIRM_K = 10
 """Of (m, k)-firmness, edge by edge."""
 
@@ -188,13 +191,13 @@ def _rootedness(edges: Edges) -> tuple[str, str]:
         return label, f"all {len(found.rooted)} windows"
     ticks = range(gap, gap + found.window)
     missed = unreached(edges.logs, edges.results.links, edges.span, ticks, edges.leaders)
-    names = in_short(edges.results.agents[i] for i in missed)
+    names = f"agent{'' if len(missed) == 1 else 's'} {in_short(edges.results.agents[i] for i in missed)}"
     period = edges.span.period_ns
     begin, end = to_seconds(gap * period), to_seconds((gap + found.window - 1) * period)
     gaps = int(np.count_nonzero(~found.rooted))
     return label, (
         f"{len(found.rooted) - gaps} of {len(found.rooted)} windows; the first that was not, from {begin:g} to "
-        f"{end:g} s, did not reach agents {names}"
+        f"{end:g} s, did not reach {names}"
     )
 
 
@@ -257,6 +260,23 @@ def breaks_table(edges: Edges) -> Table | None:
         )
     columns = ("Edge", "Channel", "h* assumed", "Largest age at ticks", "Too old for", "When")
     return Table(columns, rows, max(0, len(broken) - MOST_ROWS))
+
+
+def broken(edges: Edges) -> str | None:
+    """In a sentence, how many edges of which channels broke what was assumed; None where nothing was assumed."""
+    assumed = [link for link in range(len(edges)) if edges.assumed[link].h_star_ns is not None]
+    if not assumed:
+        return None
+    count = sum(len(edges.breaks[link]) > 0 for link in assumed)
+    if not count:
+        return f"kept by all {len(assumed)} edges" if len(assumed) > 1 else "kept by the edge"
+    found = []
+    for name, links in edges.by_channel.items():
+        if too_old := sum(len(edges.breaks[link]) > 0 for link in links):
+            found.append(f"{too_old} of {len(links)} with the channel {name}")
+    return f"broken by {count} of {len(assumed)} edges: {', '.join(found[:MOST_NAMED])}" + (
+        f" and {len(found) - MOST_NAMED} channels more" if len(found) > MOST_NAMED else ""
+    )
 
 
 def _times(spans: Ints, period_ns: int, limit: int = 4) -> str:

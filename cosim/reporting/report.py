@@ -79,6 +79,7 @@ def _facts(scene: Scene) -> dict[str, Any]:
         "freshness": network.freshness_table(edges) if told else None,
         "traffic": network.traffic_table(edges) if told else None,
         "breaks": network.breaks_table(edges) if told else None,
+        "broken": network.broken(edges) if told else None,
         "readings": network.readings(edges),
         "meanwhile": meanwhile_table(scene) if told else None,
         "realtime": findings.realtime(results),

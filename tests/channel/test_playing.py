@@ -7,13 +7,11 @@ import pytest
 
 from cosim import cli
 from cosim.channel import subject as subjects
-from cosim.channel.command import in_one_line
 from cosim.channel.playing import play
 from cosim.channel.subject import Wanted
 from cosim.planning import load as plan_of
 from cosim.reporting import network
 from cosim.reporting.edges import Edges
-from cosim.scenario.source import parse
 from network.emulator import Emulator
 from network.messages import Fates
 from tests.cli.conftest import ROOT
@@ -140,8 +138,3 @@ def test_a_replay_is_played_on_the_edges_of_its_scenario(tmp_path: Path, capsys:
     capsys.readouterr()
     (said, _) = problems(capsys, replay)
     assert "cannot be played on these edges: the recorded run has no message from a to b" in said
-
-
-def test_a_channel_in_one_line_is_yaml() -> None:
-    tree = {"model": "netem", "loss": {"gemodel": {"p": 0.01, "1-h": 0.7}}, "delay": ["1 ms", "2 ms"], "up": True}
-    assert parse(in_one_line(tree), "x").plain() == tree

@@ -26,6 +26,10 @@ def test_a_blackout_is_a_break_with_its_times(tmp_path: Path) -> None:
     # Admitted without a bound of the channel: (sqrt(13) - 1)/2 = 1.303 s. Down from 3 s to 6 s: last sample of 2.9 s.
     edges = edges_of(tmp_path / "run", channel=Netem(delay="20 ms", schedule={"down": [["3 s", "6 s"]]}))
     assert all(spans.tolist() == [[43, 61]] for spans in edges.breaks)
+    n = len(edges)
+    assert (
+        network.broken(edges) == f"broken by {n} of {n} edges: {n} of {n} with the channel {edges.results.channel(0)}"
+    )
     table = network.breaks_table(edges)
     assert table is not None
     assert len(table.rows) == len(edges)
@@ -53,6 +57,7 @@ def test_a_window_that_is_not_jointly_rooted_is_named(tmp_path: Path) -> None:
 def test_nothing_breaks_where_the_channel_keeps_its_bound(tmp_path: Path) -> None:
     edges = edges_of(tmp_path / "run")
     assert {one.origin for one in edges.assumed} == {"bound of the channel"}
+    assert network.broken(edges) == f"kept by all {len(edges)} edges"
     table = network.breaks_table(edges)
     assert table is not None
     assert not table.rows
@@ -106,9 +111,11 @@ def test_meanwhile_is_the_disagreement_at_the_times_of_the_break(tmp_path: Path)
     (row,) = table.rows
     assert row[0] == "4.3 – 6.1 s"
     positions = edges.results.array("plant.p")
-    deviation = np.abs(positions - positions[:, :1]).max(axis=(1, 2))
-    wanted = (deviation[43], deviation[43:62].max(), deviation[111])
-    assert row[2] == " → ".join(f"{value:.2g}" for value in wanted)
+    of_agent = np.abs(positions - positions[:, :1]).max(axis=2)
+    deviation = of_agent.max(axis=1)
+    most = 43 + int(np.argmax(deviation[43:62]))
+    worst = edges.results.agents[int(np.argmax(of_agent[most]))]
+    assert row[2] == f"{deviation[43]:.2g} → {deviation[most]:.2g} ({worst}) → {deviation[111]:.2g}"
 
 
 def test_the_map_of_ages_has_the_largest_of_each_bin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -71,7 +71,13 @@ def _curves(scene: Scene) -> list[tuple[str, object, str, Floats]]:
 
 
 def largest_deviation(scene: Scene, signal: Signal, role: str) -> Floats:
-    """Largest magnitude over agents and elements; (n_times,).
+    """Largest of the `deviations` over the agents; (n_times,)."""
+    largest: Floats = deviations(scene, signal, role).max(axis=1)
+    return largest
+
+
+def deviations(scene: Scene, signal: Signal, role: str) -> Floats:
+    """Largest magnitude over the elements of each agent's deviation; (n_times, n_agents).
 
     Positions count from the first agent; velocities and estimates from the reference, or without one from the mean over
     agents at the time. (Of the leaderless scheme the final velocity is known only at the end.)
@@ -80,5 +86,5 @@ def largest_deviation(scene: Scene, signal: Signal, role: str) -> Floats:
     if role != "position":
         reference = scene.reference_velocity
         centre = signal.values.mean(axis=1, keepdims=True) if reference is None else reference
-    deviation: Floats = np.abs(signal.values - centre).max(axis=(1, 2))
+    deviation: Floats = np.abs(signal.values - centre).max(axis=2)
     return deviation
