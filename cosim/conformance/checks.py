@@ -40,9 +40,9 @@ def start_values(subject: Subject) -> Iterator[Said]:
     refused = 0
     own = subject.plan.start
     settable = [v for v in subject.description.variables.values() if is_settable(v) and v.name not in own]
-    settable = [v for v in settable if v.causality != "structuralParameter"]
+    settable = [v for v in settable if v.causality != "structuralParameter" and v.start is not None]
     for variable in settable:
-        plan = replace(subject.plan, start={**own, variable.name: tuple(variable.start or ())})
+        plan = replace(subject.plan, start={**own, variable.name: variable.start or ()})
         try:
             with replace(subject, plan=plan).opened():
                 pass

@@ -217,7 +217,7 @@ def _starts(
 def _parameters(description: Description) -> Iterator[str]:
     """What may be set under `start`, with the values that hold if it is not."""
     own = [v for v in description.variables.values() if v.causality in ("parameter", "structuralParameter")]
-    settable = [v for v in own if is_settable(v)]
+    settable = [v for v in own if is_settable(v) and v.start is not None]
     if settable:
         yield "        # Also under 'start', with the FMU's own values:"
     for variable in settable:

@@ -142,7 +142,8 @@ def _check_unconnected(blueprint: Blueprint, fed: Mapping[str, Location], outsid
                 where,
             )
         if loose:
-            inputs = ", ".join(f"'{part.name}.{name}'" for name in loose)
+            inputs = ", ".join(f"'{part.name}.{name}'" for name in loose[:8])
+            inputs += f" and {len(loose) - 8} more" if loose[8:] else ""
             one = len(loose) == 1
             blueprint.ports.problems.warning(
                 f"{inputs} {'is' if one else 'are'} not connected and {'keeps its' if one else 'keep their'} start "

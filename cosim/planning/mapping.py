@@ -237,7 +237,8 @@ class _Mapping:
         taken = self._taken()
         for name, variable in named.items():
             own = self._own.variables.get(name)
-            if own is not None and own.causality in ("input", "output") and own.name not in taken:
+            behind = {variable for variable, _ in self._behind[name]}
+            if own is not None and own.causality in ("input", "output") and own.name not in {*taken, *behind}:
                 kind = f"{variable.causality}s"
                 self._problems.error(
                     f"the component has an {own.causality} {name!r} of its own; map that under another name as well",

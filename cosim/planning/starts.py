@@ -36,8 +36,11 @@ def elements(value: Any, variable: Variable) -> tuple[Element, ...]:
 
 
 def is_settable(variable: Variable) -> bool:
-    """Whether a variable takes a start value (FMI 3.0, section 2.4.7.5)."""
-    computed = variable.initial == "calculated" or variable.start is None
+    """Whether a variable takes a start value (FMI 3.0, section 2.4.7.5); parameters and inputs always do, also where an
+    array was given another size than that of the start values that are declared for it.
+    """
+    given = variable.causality in ("input", "parameter", "structuralParameter")
+    computed = variable.initial == "calculated" or (variable.start is None and not given)
     return variable.causality in _SETTABLE and variable.variability != "constant" and not computed
 
 

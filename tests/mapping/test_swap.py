@@ -177,3 +177,19 @@ def test_both_loops_give_the_same_bits_however_values_are_scaled(
     )
     assert native[0] == python[0]
     assert str(native[1]) == str(python[1])  # some diverge
+
+
+@BOTH
+def test_an_element_under_the_name_of_its_array(tmp_path: Path, loop: str) -> None:
+    """As one element by itself, and `[x]` as an array of one."""
+    one = PLANT.replace("start:", 'inputs: {u: "u[2]"}\n        outputs: {p: [p], q: ["p[1]"]}\n        start:')
+    connections = CONNECTIONS.replace("controller.u -> plant.u", "controller.u2 -> plant.u")
+    controller = ("start: {role: follower}", 'outputs: {u2: "u[2]"}\n        start: {role: follower}')
+    record = ("record: [plant.p, plant.v]", "record: [plant.p, plant.q]")
+    analysis = ("  velocity: plant.v\n", "")
+    changed_plan = network(tmp_path, (PLANT, one), (CONNECTIONS, connections), controller, record, analysis, loop=loop)
+    assert [port.variable.shape for _, port in changed_plan.agents[0].record] == [(2,), (1,)]
+    found, error = in_process(changed_plan)
+    assert error is None
+    rows = values(found).reshape(-1, 3, 3)
+    assert (rows[:, :, 2] == rows[:, :, 0]).all()

@@ -77,6 +77,8 @@ def test_enumeration_items_by_name_and_number() -> None:
         ({"causality": "independent", "start": None}, False),
         ({"variability": "constant"}, False),
         ({"causality": "local", "start": None}, False),
+        ({"causality": "parameter", "start": None}, True),  # an array of another size than its declared start values
+        ({"causality": "input", "start": None}, True),
     ],
 )
 def test_what_takes_a_start_value(changes: dict[str, Any], settable: bool) -> None:
