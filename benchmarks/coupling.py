@@ -122,7 +122,7 @@ class Contestant:
             self._advance = self._bare(agent, library)
         elif name == "native loop":
             block = NativeBlock([Member(0, wiring, self.components, coupling)], memory, PERIOD_NS)
-            self._advance = lambda start, _: block.advance(start // PERIOD_NS, NO_MAIL)
+            self._advance = lambda start, _: block.advance(start // PERIOD_NS, 1, NO_MAIL)
         else:
             self._advance = lambda start, end: python.advance(start, end, NO_UPDATES)
         self._recorded = wiring.recorded

@@ -1,13 +1,15 @@
 """The agents of a worker, or of the in-process run, opened and advanced together. Pure given their components.
 
 What they publish and what is recorded of them lies in one array, and is gathered by one call of numpy. Agents made of
-FMUs are advanced by one call of the native loop, the others one after the other. The outcome is that of advancing each
-in its turn: agents do not meet but through the mail, and of several failures that of the first agent counts.
+FMUs are advanced by one call of the native loop (where there are no others, over all ticks whose mail is there), the
+others one after the other. The outcome is that of advancing each in its turn: agents do not meet but through the mail,
+and of several failures at a tick that of the first agent counts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,27 +18,48 @@ from numpy.typing import NDArray
 from cosim.agent import Agent
 from cosim.components.component import Component, Floats
 from cosim.components.opening import await_open, open_components, terminate
+from cosim.errors import RunError
 from cosim.logs import NO_LOGS, Logs
-from cosim.mailbox import Mailboxes
+from cosim.mailbox import Mailboxes, Updates
 from cosim.memory import LoopMemory
 from cosim.plan import AgentPlan, Loop, Plan
 from cosim.wiring import Wirings
 from network.messages import Ints, Mail
 
 if TYPE_CHECKING:
-    from cosim.kernel import NativeBlock
+    from cosim.kernel import Failed, NativeBlock
 
 NOTHING: Mapping[int, Floats] = {}
 
 
+@dataclass(frozen=True)
+class Course:
+    """What agents did over ticks that follow each other.
+
+    Attributes:
+        samples: (n_ticks, n_agents, width) what they publish at each tick that they have come to.
+        rows: (n_ticks, row_width) what is recorded there.
+        error: why they came no further.
+    """
+
+    samples: Floats
+    rows: Floats
+    error: RunError | None
+
+    def __len__(self) -> int:
+        """How many ticks."""
+        return len(self.rows)
+
+
 class Agents:
-    """The call order is `initialise`, then for every tick: `samples`, `row`, `advance`; at the end `terminate`.
+    """The call order is `initialise`, `samples` and `row` of tick 0, then for every tick `advance`, after which those
+    of the next can be had, or `advance_several`, which gives them; at the end `terminate`.
 
     Args:
         plan: of the whole run.
         own: which of its agents; all of them by default.
-        attended: (1,) kept up to date for whoever looks at it from outside: which of `own` is being initialised or
-            advanced, -1 for none.
+        attended: (2,) kept up to date for whoever looks at it from outside: the tick from which agents are being
+            advanced, and which of `own` is being initialised or advanced, -1 for none.
         logs: where what the components log goes.
 
     Raises:
@@ -48,7 +71,7 @@ class Agents:
         self, plan: Plan, own: Sequence[AgentPlan] | None = None, attended: Ints | None = None, logs: Logs = NO_LOGS
     ) -> None:
         self._plan = plan
-        self._attended = np.full(1, -1) if attended is None else attended
+        self._attended = np.array([0, -1]) if attended is None else attended
         own = plan.agents if own is None else own
         wirings = Wirings(plan.layout)
         wired = [wirings.of(agent) for agent in own]
@@ -66,14 +89,14 @@ class Agents:
                 self._agents.append(Agent(agent, wiring, plan.period_ns, components, self._memory.state(index)))
             self._by_themselves = [i for i, agent in enumerate(own) if agent.coupling.loop is Loop.PYTHON]
             self._mailboxes = Mailboxes([len(own[i].neighbours) for i in self._by_themselves], plan.period_ns)
+            self._places_of_samples = self._published()
+            self._places_of_row = self._recorded()
             self._native = self._native_block([i for i, agent in enumerate(own) if agent.coupling.loop is Loop.NATIVE])
         except BaseException:
             for components in opened:
                 terminate(components)
             raise
         self._fed = [agent for agent in self._agents if agent.plan.external]
-        self._places_of_samples = self._published()
-        self._places_of_row = self._recorded()
 
     def initialise(self) -> None:
         """Bring all agents to tick 0.
@@ -82,9 +105,9 @@ class Agents:
             RunError: a component failed.
         """
         for index, agent in enumerate(self._agents):
-            self._attended[0] = index
+            self._attended[1] = index
             agent.initialise(self._plan.ticks * self._plan.period_ns)
-        self._attended[0] = -1
+        self._attended[1] = -1
 
     def samples(self) -> Floats:
         """(n_agents, width) what the agents publish at the current tick; zero where nobody hears one."""
@@ -108,17 +131,65 @@ class Agents:
         if taken:
             for agent in self._fed:
                 agent.take(tick, taken)
-        failed = self._native.advance(tick, mail) if self._native else None
-        if self._by_themselves:
-            updates = self._mailboxes.accept(mail if self._native is None else mail.of(self._by_themselves))
-            for place, index in enumerate(self._by_themselves):
+        updates = self._mailboxes.accept(self._mail_of_others(mail, 1)) if self._by_themselves else None
+        self._advance(tick, mail, updates, 0)
+
+    def advance_several(self, tick: int, n_ticks: int, mail: Mail, taken: Mapping[int, Floats] = NOTHING) -> Course:
+        """From `tick` over `n_ticks` periods, or until a component fails; after that, nothing may be advanced.
+
+        Args:
+            tick: at which the agents are.
+            n_ticks: how many periods.
+            mail: the deliveries, tick by tick.
+            taken: values from outside that are new at `tick`.
+        """
+        samples = np.empty((n_ticks, *self._places_of_samples.shape))
+        rows = np.empty((n_ticks, len(self._places_of_row)))
+        done, error = 0, None
+        try:
+            if self._native is not None and not self._by_themselves and not taken:
+                done, failed = self._native.advance(tick, n_ticks, mail, samples, rows)
+                self._raise(failed)
+            else:
+                for agent in self._fed if taken else ():
+                    agent.take(tick, taken)
+                updates = self._mailboxes.accept(self._mail_of_others(mail, n_ticks))
+                for done in range(n_ticks):
+                    self._advance(tick + done, mail, updates, done)
+                    samples[done], rows[done] = self.samples(), self.row()
+                done = n_ticks
+        except RunError as failure:
+            error = failure
+        self._attended[1] = -1
+        return Course(samples[:done], rows[:done], error)
+
+    def _advance(self, tick: int, mail: Mail, updates: Updates | None, nth: int) -> None:
+        """From `tick` to the next one, of whose mail and updates it is the part number `nth`."""
+        failed = None
+        if self._native is not None:
+            n = len(self._agents)
+            _, failed = self._native.advance(tick, 1, mail.of(range(nth * n, nth * n + n)) if nth else mail)
+        if updates is not None:
+            self._attended[0] = tick
+            first = nth * len(self._by_themselves)
+            for place, index in enumerate(self._by_themselves, first):
                 if failed and failed.index < index:
                     break
-                self._attended[0] = index
+                self._attended[1] = index
                 self._agents[index].advance(tick, updates, place)
-        self._attended[0] = -1
+        self._attended[1] = -1
+        self._raise(failed)
+
+    def _raise(self, failed: Failed | None) -> None:
         if failed:
             raise self._agents[failed.index].failure(failed.error) from failed.error
+
+    def _mail_of_others(self, mail: Mail, n_ticks: int) -> Mail:
+        """That of agents which are not native, tick by tick."""
+        if self._native is None:
+            return mail
+        n = len(self._agents)
+        return mail.of([tick * n + agent for tick in range(n_ticks) for agent in self._by_themselves])
 
     def terminate(self) -> None:
         """End all components; safe after a failure, and twice."""
@@ -134,7 +205,8 @@ class Agents:
 
         found = [self._agents[i] for i in members]
         native = [Member(i, a.wiring, a.components, a.plan.coupling) for i, a in zip(members, found, strict=True)]
-        return NativeBlock(native, self._memory, self._plan.period_ns, self._attended)
+        places = self._places_of_samples, self._places_of_row
+        return NativeBlock(native, self._memory, self._plan.period_ns, *places, self._attended)
 
     def _with_first_signal(self) -> Iterator[tuple[Agent, int]]:
         return zip(self._agents, self._memory.first_signal[:-1].tolist(), strict=True)

@@ -44,8 +44,14 @@ class Mailboxes:
         """Agent by agent, the freshest stamp of each in-neighbour."""
 
     def accept(self, mail: Mail) -> Updates:
-        """The deliveries, in their order, that are fresher than what is there."""
-        box = self._first[:-1].repeat(np.diff(mail.ends)) + mail.slot
+        """The deliveries, in their order, that are fresher than what is there.
+
+        Args:
+            mail: of all agents, possibly for several ticks in turn; then the updates are tick by tick as well.
+        """
+        n_agents = len(self._first) - 1
+        n_ticks = len(mail) // n_agents if n_agents else 0
+        box = np.tile(self._first[:-1], n_ticks).repeat(np.diff(mail.ends)) + mail.slot
         fresh = self._judge(box, mail.stamp)
         self.stamps[box[fresh]] = mail.stamp[fresh]  # they increase, and the last assignment holds
         ends, arrival, slot, stamp, values = mail.ends, mail.arrival_ns, mail.slot, mail.stamp, mail.values

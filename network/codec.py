@@ -50,87 +50,91 @@ class Block:
         return sum(self.widths)
 
     @cached_property
-    def agents(self) -> Ints:
-        """0, 1, … for the agents."""
-        return np.arange(len(self))
-
-    @cached_property
     def slots(self) -> NDArray[np.uint64]:
         """`neighbours` as an array."""
         return np.asarray(self.neighbours, np.uint64)
 
 
-# --- every tick --------------------------------------------------------------------------------------------------
-def encode_samples(block: Block, values: Floats) -> list[Part]:
-    """Samples of a tick, (n, width): one row per agent of the block, zero where nobody hears it.
+# --- ticks that follow each other, the first being the envelope's ----------------------------------------------------
+def encode_samples(block: Block, pieces: Sequence[Floats]) -> list[Part]:
+    """Samples in pieces of some ticks each, (n_ticks, n, width): one row per agent, zero where nobody hears it.
 
     Raises:
         ValueError: samples of another shape.
     """
-    if values.shape != (len(block), block.width):
-        raise ValueError(f"samples must have the shape {(len(block), block.width)}")
-    return [_as("<f8", values)]
+    if any(piece.shape[1:] != (len(block), block.width) for piece in pieces):
+        raise ValueError(f"samples must have the shape {(len(block), block.width)} at every tick")
+    return [sum(map(len, pieces)).to_bytes(8, "little"), *(_as("<f8", piece) for piece in pieces)]
 
 
 def decode_samples(block: Block, envelope: Envelope) -> Floats:
-    """(n, width): one row per agent of the block, zero where nobody hears it."""
-    return _Reader(envelope).rest(len(block) * block.width).reshape(len(block), block.width)
-
-
-def encode_mail(mail: Mail) -> list[Part]:
-    """Mail of a tick for the agents of a block."""
-    columns = [_as("<i8", column) for column in (np.diff(mail.ends), mail.arrival_ns, mail.slot, mail.stamp)]
-    return [*columns, _as("<f8", mail.values)]
-
-
-def decode_mail(block: Block, envelope: Envelope) -> Mail:
-    """Mail of the envelope's tick for the agents of the block, in the total order."""
+    """(n_ticks, n, width), one tick at least: one row per agent of the block, zero where nobody hears it."""
     reader = _Reader(envelope)
-    counts, n = reader.counts(len(block))
+    n_ticks = reader.count(1)
+    return reader.rest(n_ticks * len(block) * block.width).reshape(n_ticks, len(block), block.width)
+
+
+def encode_mail(mail: Mail, n_ticks: int) -> list[Part]:
+    """Mail of some ticks for the agents of a block."""
+    columns = [_as("<i8", column) for column in (np.diff(mail.ends), mail.arrival_ns, mail.slot, mail.stamp)]
+    return [n_ticks.to_bytes(8, "little"), *columns, _as("<f8", mail.values)]
+
+
+def decode_mail(block: Block, envelope: Envelope) -> tuple[int, Mail]:
+    """How many ticks, one at least, and their mail for the agents of the block, tick by tick in the total order."""
+    reader = _Reader(envelope)
+    n_ticks = reader.count(1)
+    counts, n = reader.counts(n_ticks * len(block))
     arrival, slot, stamp = reader.ints(n), reader.ints(n), reader.ints(n)
     values = reader.rest(n * block.width).reshape(n, block.width)
     if n:
-        tick, period = reader.tick(_LATEST_NS // block.period_ns), block.period_ns
-        since = arrival - tick * period
-        agent = block.agents.repeat(counts)
+        first, period = reader.tick(_LATEST_NS // block.period_ns - n_ticks), block.period_ns
+        receiver = np.arange(len(counts)).repeat(counts)  # of each tick in turn
+        later, agent = np.divmod(receiver, len(block))
+        since = arrival - (later + first) * period
         reader.check(_magnitude(since) < period, "arrives outside its tick")
         reader.check(_magnitude(slot) < block.slots[agent], "is from no in-neighbour")
-        reader.check(_magnitude(stamp) <= tick, "has an impossible stamp")
-        due = since + agent * period  # the agents' periods one after the other
+        reader.check(_magnitude(stamp) <= _magnitude(later + first), "has an impossible stamp")
+        due = since + receiver * period  # the receivers' periods one after the other
         reader.check(due[1:] >= due[:-1], "arrives before the one ahead of it")
-    ends = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
-    return Mail(ends, arrival, slot, stamp, values)
+    ends = np.zeros(len(counts) + 1, np.int64)
+    np.cumsum(counts, out=ends[1:])
+    return n_ticks, Mail(ends, arrival, slot, stamp, values)
 
 
-# --- several ticks at once ---------------------------------------------------------------------------------------
-def encode_rows(block: Block, rows: Sequence[Floats]) -> list[Part]:
-    """Recorded rows of ticks that follow each other, the first being the envelope's: (row_width,) per tick.
+def encode_rows(block: Block, pieces: Sequence[Floats]) -> list[Part]:
+    """Recorded rows in pieces of some ticks each: (n_ticks, row_width).
 
     Raises:
         ValueError: rows of another size than the block's.
     """
-    if any(row.shape != (block.row_width,) for row in rows):
+    if any(piece.shape[1:] != (block.row_width,) for piece in pieces):
         raise ValueError(f"rows must have {block.row_width} numbers")
-    return [len(rows).to_bytes(8, "little"), *_joined(rows, "<f8")]
+    return [sum(map(len, pieces)).to_bytes(8, "little"), *(_as("<f8", piece) for piece in pieces)]
 
 
 def decode_rows(block: Block, envelope: Envelope) -> Floats:
-    """(n_ticks, row_width) rows of ticks that follow each other, the first being the envelope's."""
+    """(n_ticks, row_width)."""
     reader = _Reader(envelope)
     n_ticks = reader.count()
     return reader.rest(n_ticks * block.row_width).reshape(n_ticks, block.row_width)
 
 
-def encode_fates(ticks: Sequence[Fates]) -> list[Part]:
-    """Fates of ticks that follow each other, the first being the envelope's."""
-    counts = np.fromiter((len(fates) for fates in ticks), "<i8", len(ticks))
-    rows = [(f.sender, f.receiver, f.stamp, f.sent, f.arrival_ns, f.fate) for f in ticks]
+def encode_fates(counts: Sequence[int], pieces: Sequence[Fates]) -> list[Part]:
+    """Fates, in pieces one after the other.
+
+    Args:
+        counts: of each tick, how many became known in it.
+        pieces: of any number of ticks each.
+    """
+    rows = [(f.sender, f.receiver, f.stamp, f.sent, f.arrival_ns, f.fate) for f in pieces]
     columns = [_joined(column, "<i8") for column in zip(*rows, strict=True)]
-    return [len(ticks).to_bytes(8, "little"), counts.data, *chain.from_iterable(columns)]
+    head = np.array([len(counts), *counts], "<i8")
+    return [head.data, *chain.from_iterable(columns)]
 
 
 def decode_fates(n_agents: int, envelope: Envelope) -> list[Fates]:
-    """Per tick, the first being the envelope's: the fates that became known in it."""
+    """Per tick: the fates that became known in it."""
     reader = _Reader(envelope)
     counts, n = reader.counts(reader.count())
     sender, receiver, stamp, sent, arrival = (reader.ints(n) for _ in range(5))
@@ -264,10 +268,10 @@ class _Reader:
             raise self._fail("is of no tick of any run")
         return self._envelope.tick
 
-    def count(self) -> int:
+    def count(self, least: int = 0) -> int:
         """A number of ticks."""
         count = int(self.ints(1)[0])
-        if not 0 <= count <= _MOST_TICKS:
+        if not least <= count <= _MOST_TICKS:
             raise self._fail(f"announces {count} ticks")
         return count
 

@@ -206,35 +206,6 @@ class Streams:
         return "zeros are missing after the names"
 
 
-def pack(frames: Sequence[bytes]) -> bytes:
-    """Messages to one receiver as one: one after the other, each beginning at a multiple of 8 bytes."""
-    if len(frames) == 1:
-        return frames[0]
-    return b"".join(frame + bytes(-len(frame) % 8) for frame in frames)
-
-
-def unpack(packed: bytes) -> Sequence[Part]:
-    """The messages in what `pack` made; what is damaged comes out as a message that `Streams.decode` refuses."""
-    size = _size(packed, 0)
-    if size >= len(packed):
-        return [packed]
-    view, frames, begin = memoryview(packed), [], 0
-    while begin < len(packed):
-        end = begin + _size(packed, begin)
-        frames.append(view[begin:end])
-        begin = end + -end % 8
-    return frames
-
-
-def _size(packed: bytes, begin: int) -> int:
-    """Bytes of the message that begins there, as its head has it; all that is left, if it has no whole head."""
-    if len(packed) - begin < _HEAD.size:
-        return len(packed) - begin
-    head = _HEAD.unpack_from(packed, begin)
-    names = _HEAD.size + sum(head[5:8])
-    return int(names + -names % 8 + head[-1])
-
-
 def _check_whole(sender: str, view: memoryview) -> None:
     """Magic number, checksum and version, which every version of the protocol has in the same place."""
     if len(view) < _HEAD.size:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Collection
 from contextlib import suppress
 from typing import Final, Protocol, Self
 
-from network.envelope import VERSION, Envelope, Kind, Part, Streams, Tamper, WireError, pack, unpack
+from network.envelope import VERSION, Envelope, Kind, Part, Streams, Tamper, WireError
 
 __all__ = [
     "HUB",
@@ -72,25 +72,11 @@ class Endpoint(Protocol):
     name: str
 
     def send(self, receiver: str, kind: Kind, tick: int, *parts: Part) -> None:
-        """Send one message at once, after those posted; `parts` are joined, and may be changed afterwards.
+        """Send one message; `parts` are joined, and may be changed afterwards.
 
         Raises:
             PeerLost: the connection is known to be gone.
         """
-
-    def post(self, receiver: str, kind: Kind, tick: int, *parts: Part) -> None:
-        """Send one message together with others to the same receiver: at `push`, or when `receive` has to wait.
-
-        Raises:
-            PeerLost: the connection is known to be gone.
-        """
-
-    def push(self) -> None:
-        """Send what is posted."""
-
-    @property
-    def posted(self) -> bool:
-        """Whether `push` would send something."""
 
     def receive(self, timeout: float) -> Envelope:
         """The next message of anybody, after at most `timeout` seconds; 0 only looks.
@@ -243,35 +229,20 @@ class InMemoryEndpoint:
         self._network = network
         self._streams = Streams(network.run, name)
         self._inbox: deque[tuple[str, Part | None]] = deque()  # sender and frame; None: the sender is gone
-        self._posted: dict[str, list[bytes]] = {}
         self._departed: set[str] = set()
 
     def send(self, receiver: str, kind: Kind, tick: int, *parts: Part) -> None:
-        self.post(receiver, kind, tick, *parts)
-        self.push()
-
-    def post(self, receiver: str, kind: Kind, tick: int, *parts: Part) -> None:
         if HUB not in self._network.endpoints:
             raise PeerLost(HUB, _ENDED)
         frame = self._streams.encode(receiver, kind, tick, parts)
-        self._posted.setdefault(receiver, []).extend(self._network.tamper(self.name, receiver, frame))
-
-    @property
-    def posted(self) -> bool:
-        return bool(self._posted)
-
-    def push(self) -> None:
-        posted, self._posted = self._posted, {}
         with self._network.changed:
-            for receiver, frames in posted.items():
-                target = self._network.endpoints.get(receiver)
-                if target is not None and frames:
-                    target._inbox.extend((self.name, frame) for frame in unpack(pack(frames)))
+            target = self._network.endpoints.get(receiver)
+            if target is not None:
+                arrived = self._network.tamper(self.name, receiver, frame)
+                target._inbox.extend((self.name, frame) for frame in arrived)
             self._network.changed.notify_all()
 
     def receive(self, timeout: float) -> Envelope:
-        if not self._inbox:
-            self.push()
         deadline = time.monotonic() + timeout
         while True:
             with self._network.changed:

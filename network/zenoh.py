@@ -32,7 +32,7 @@ os.environ.setdefault(  # read when the first session opens
 import zenoh
 
 from network.codec import decode_object, encode_object
-from network.envelope import Envelope, Kind, Part, Streams, Tamper, WireError, check_name, pack, unpack
+from network.envelope import Envelope, Kind, Part, Streams, Tamper, WireError, check_name
 from network.transport import (
     HUB,
     PeerLost,
@@ -56,7 +56,6 @@ STALL: Final = 60.0
 _WAIT: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"  # µs
 _ASK_AGAIN: Final = 0.05  # s
 _TRY: Final = 1.0  # s in one attempt to reach somebody: a request to stop is heard in between
-_TOGETHER: Final = 2**16  # bytes posted beyond which nothing waits for more
 _INBOX: Final = 2**20  # messages; if it were full, Zenoh's receiving thread would wait, and with it every other link
 _SETTINGS: Final[Mapping[str, object]] = {
     "scouting/multicast/enabled": False,
@@ -180,10 +179,7 @@ class ZenohEndpoint:
         self._streams = Streams(run, name)
         self._tamper = tamper
         self._publishers: dict[str, zenoh.Publisher] = {}
-        self._posted: dict[str, list[bytes]] = {}
-        self._posted_bytes = 0
         self._senders: dict[str, str] = {}
-        self._frames: deque[tuple[str, Part]] = deque()  # sender and message, that came together with another
         self._losses: deque[PeerLost] = deque()
         self._departed: set[str] = set()
         self._closed = False
@@ -197,47 +193,22 @@ class ZenohEndpoint:
         atexit.register(self.leave)  # threads that wait in Zenoh while the interpreter ends would abort the process
 
     def send(self, receiver: str, kind: Kind, tick: int, *parts: Part) -> None:
-        self.post(receiver, kind, tick, *parts)
-        self.push()
-
-    def post(self, receiver: str, kind: Kind, tick: int, *parts: Part) -> None:
         self._check_open()
+        publisher = self._publishers.get(receiver)
+        if publisher is None:
+            publisher = self._session.declare_publisher(self._keys.message(receiver, self.name), **_QOS)
+            self._publishers[receiver] = publisher
         frame = self._streams.encode(receiver, kind, tick, parts)
-        posted = self._posted.setdefault(receiver, [])
-        if self._tamper is None:
-            posted.append(frame)
-        else:
-            posted.extend(self._tamper(self.name, receiver, frame))
-        self._posted_bytes += len(frame)
-        if self._posted_bytes > _TOGETHER:
-            self.push()
-
-    @property
-    def posted(self) -> bool:
-        return bool(self._posted)
-
-    def push(self) -> None:
-        if not self._posted:
-            return
-        posted, self._posted, self._posted_bytes = self._posted, {}, 0
-        for receiver, frames in posted.items():
-            publisher = self._publishers.get(receiver)
-            if publisher is None:
-                publisher = self._session.declare_publisher(self._keys.message(receiver, self.name), **_QOS)
-                self._publishers[receiver] = publisher
-            if frames:
-                publisher.put(pack(frames))
+        for sent in (frame,) if self._tamper is None else self._tamper(self.name, receiver, frame):
+            publisher.put(sent)
 
     def receive(self, timeout: float) -> Envelope:
         self._check_open()
-        if self._frames:
-            return self._decode(*self._frames.popleft())
         deadline: float | None = None
         while True:
             some_lost = bool(self._losses)  # looked at first: what arrived before a loss comes out before it
             sample = self._inbox.try_recv()
             if sample is None:
-                self.push()
                 if some_lost:
                     self._report_loss()
                     continue
@@ -254,9 +225,7 @@ class ZenohEndpoint:
                 sender = self._senders.get(key)
                 if sender is None:
                     sender = self._senders[key] = key.rpartition("/")[2]
-                frame, *others = unpack(sample.payload.to_bytes())
-                self._frames.extend((sender, other) for other in others)
-                return self._decode(sender, frame)
+                return self._decode(sender, sample.payload.to_bytes())
 
     def _decode(self, sender: str, frame: Part) -> Envelope:
         envelope = self._streams.decode(sender, frame)
@@ -514,10 +483,10 @@ class ZenohClient(ZenohEndpoint):
             self._hub_is_there = alive
             self._changed.notify_all()
 
-    def post(self, receiver: str, kind: Kind, tick: int, *parts: Part) -> None:
+    def send(self, receiver: str, kind: Kind, tick: int, *parts: Part) -> None:
         if self._losses:
             raise self._losses[0]
-        super().post(receiver, kind, tick, *parts)
+        super().send(receiver, kind, tick, *parts)
 
     def close(self) -> None:
         if not self._closed and not self._losses:

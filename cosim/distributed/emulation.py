@@ -27,7 +27,7 @@ from cosim.plan import Plan
 from network import codec
 from network.codec import Block
 from network.emulator import Emulator
-from network.messages import Exchange, Fates, Floats
+from network.messages import Fates, Floats, Mail
 from network.transport import Envelope, Kind, Part, WireError
 
 _AHEAD_TICKS = 64
@@ -55,8 +55,21 @@ class _Station:
     sent: int = 0
 
 
+@dataclass
+class _Samples:
+    """Those of a tick.
+
+    Attributes:
+        values: (n_agents, width).
+        missing: how many workers have not sent theirs.
+    """
+
+    values: Floats
+    missing: int
+
+
 class Emulation:
-    """The call order is `prepare`, then `handle` and `flush` as they come until `finished`, then `close`.
+    """See `cosim.distributed.serving.Machine`.
 
     Args:
         plan: of the whole run.
@@ -74,27 +87,41 @@ class Emulation:
         self._replaced: set[str] = set()
         self._behind: set[str] = set()  # replacements that have not caught up
         self._batch_ticks = batch_ticks(plan)
-        self._emulator = Emulator(plan.links, plan.channels, plan.link_channel, plan.layout, plan.seed, plan.period_ns)
-        self._samples: dict[int, Floats] = {}  # of ticks that are not complete
-        self._published = 0  # ticks of which all samples are in
-        self._exchanged = 0  # ticks answered
+        self._emulator = Emulator(
+            plan.links,
+            plan.channels,
+            plan.link_channel,
+            plan.layout,
+            plan.seed,
+            plan.period_ns,
+            list(workers.values()),
+        )
+        self._samples: dict[int, _Samples] = {}  # of ticks that are not complete
+        self.tick = 0
+        """Ticks answered."""
         self._granted = 0
         self._external: dict[int, list[Part]] = {}  # of ticks that are not answered
         self._next_external = 0
-        self._fates: list[Fates] = []
+        self._fates: list[Fates] = []  # that are held back
+        self._fate_counts: list[int] = []  # by tick
         self.finished = False
 
     @property
     def holds_back(self) -> bool:
         """Whether `flush` would send something."""
-        return bool(self._fates)
+        return bool(self._fate_counts)
+
+    @property
+    def busy(self) -> bool:
+        """Whether `act` would do something."""
+        return self.tick < self._answerable
 
     def prepare(self) -> list[Message]:
         """Say that all is well."""
         return [Message(ORCHESTRATOR, Kind.READY, 0)]
 
-    def handle(self, envelope: Envelope) -> list[Message]:
-        """Whatever a message asks for.
+    def take(self, envelope: Envelope) -> list[Message]:
+        """Whatever a message asks for; samples are kept for `act`.
 
         Raises:
             WireError: it is not this message's turn, or it does not hold what it should.
@@ -102,7 +129,6 @@ class Emulation:
         """
         if envelope.sender in self._replaced:  # what was under way when it was lost
             return []
-        messages: list[Message] = []
         match envelope.kind:
             case Kind.SAMPLES:
                 self._collect(envelope)
@@ -113,7 +139,7 @@ class Emulation:
             case Kind.EXTERNAL:
                 self._take_external(envelope)
             case Kind.REPLACE:
-                messages.append(self._replace(envelope))
+                return [self._replace(envelope)]
             case Kind.PING:
                 return [*self.flush(), self._position(envelope.tick)]
             case Kind.BYE if envelope.sender == ORCHESTRATOR:
@@ -121,15 +147,27 @@ class Emulation:
                 return []
             case _:
                 raise WireError(envelope.sender, f"a {envelope.kind.name} is nothing for an emulator")
-        messages += self._answer()
+        return self._repeat() if self._behind else []
+
+    def act(self, most: int) -> list[Message]:
+        """The mail of ticks that can be answered, `most` at most."""
+        messages: list[Message] = []
+        over, stop = self.tick == self._plan.ticks, min(self._answerable, self.tick + most)
+        while self.tick < stop:
+            messages += self._answer(stop)
+        if self.tick == self._plan.ticks and not over:
+            messages += self._finish()
+        elif len(self._fate_counts) >= self._batch_ticks:
+            messages += self.flush()
         return messages + self._repeat() if self._behind else messages
 
     def flush(self) -> list[Message]:
         """Hand over the fates that are held back."""
-        if not self._fates:
+        if not self._fate_counts:
             return []
+        counts, self._fate_counts = self._fate_counts, []
         fates, self._fates = self._fates, []
-        return [Message(ORCHESTRATOR, Kind.FATES, self._exchanged - len(fates), codec.encode_fates(fates))]
+        return [Message(ORCHESTRATOR, Kind.FATES, self.tick - len(counts), codec.encode_fates(counts, fates))]
 
     def close(self) -> None:
         """Give back the files."""
@@ -142,26 +180,32 @@ class Emulation:
         station = self._stations.get(envelope.sender)
         if station is None:
             raise WireError(envelope.sender, "it carries no agents, but sent samples")
-        tick = envelope.expect(Kind.SAMPLES, station.said).tick
-        samples = codec.decode_samples(station.block, envelope)
-        if station.replay is not None and not station.replay.says(tick, envelope.body):
-            raise WireError(
-                envelope.sender,
-                f"the samples of tick {tick} are not those of the worker that it replaces: a component gives another "
-                "result when it is run again; run with 'on_worker_loss: abort'",
-            )
-        station.said += 1
-        if tick < station.samples:
+        first = envelope.expect(Kind.SAMPLES, station.said).tick
+        for tick, samples in enumerate(codec.decode_samples(station.block, envelope), first):
+            if station.replay is not None and not station.replay.says(tick, samples.data):
+                raise WireError(
+                    envelope.sender,
+                    f"the samples of tick {tick} are not those of the worker that it replaces: a component gives "
+                    "another result when it is run again; run with 'on_worker_loss: abort'",
+                )
+            station.said += 1
+            if tick >= station.samples:
+                station.samples += 1
+                self._keep(tick, station, samples)
+
+    def _keep(self, tick: int, station: _Station, samples: Floats) -> None:
+        """Put a worker's samples where they belong; publish a tick that becomes complete."""
+        if self.tick == self._plan.ticks:  # with slack, the last samples are of no consequence
             return
-        station.samples = tick + 1
         if tick not in self._samples:
-            self._samples[tick] = np.empty((len(self._plan.agents), self._plan.layout.width))
-        self._samples[tick][rows_of(station.agents)] = samples
-        if self._exchanged == self._plan.ticks:  # with slack, the last samples are of no consequence
-            self._samples.clear()
-        elif tick == self._published and all(other.samples > tick for other in self._stations.values()):
-            self._emulator.publish(tick, self._samples.pop(tick))
-            self._published += 1
+            values = np.empty((len(self._plan.agents), self._plan.layout.width))
+            self._samples[tick] = _Samples(values, len(self._stations))
+        kept = self._samples[tick]
+        kept.values[rows_of(station.agents)] = samples
+        kept.missing -= 1
+        if not kept.missing:  # whoever sent these has sent those of all ticks before
+            self._emulator.publish(tick, kept.values)
+            del self._samples[tick]
 
     def _take_external(self, envelope: Envelope) -> None:
         """Keep what was taken from outside at a tick until its mail is sent."""
@@ -172,36 +216,42 @@ class Emulation:
         self._external[self._next_external] = codec.encode_external(taken)
         self._next_external += 1
 
-    def _answer(self) -> list[Message]:
-        """The mail of every tick that can be answered."""
-        messages: list[Message] = []
-        while self._exchanged < self._granted and self._exchanged < self._published + self._emulator.slack:
-            tick = self._exchanged
-            exchange = self._emulator.exchange(tick)
-            self._exchanged += 1
-            self._fates.append(exchange.fates)
-            for name, station in self._stations.items():
-                mail = self._mail(station, exchange)
-                if name not in self._behind:
-                    station.sent += 1
-                    messages.append(Message(name, Kind.MAIL, tick, mail))
-            self._external.pop(tick, None)
-            if self._exchanged == self._plan.ticks:
-                messages += self._finish()
-        return messages + self.flush() if len(self._fates) >= self._batch_ticks else messages
+    @property
+    def _answerable(self) -> int:
+        """Ticks that can be answered, or have been."""
+        return min(self._granted, self._emulator.published + self._emulator.slack)
 
-    def _mail(self, station: _Station, exchange: Exchange) -> list[Part]:
-        external = self._external.get(exchange.tick, ())
-        mail = [*external, *codec.encode_mail(exchange.mail.of(station.agents))]
-        if station.replay is not None:
-            station.replay.keep(mail)
-        return mail
+    def _answer(self, stop: int) -> list[Message]:
+        """The mail of one tick at least, up to before `stop`."""
+        tick = self.tick
+        stretch = self._emulator.exchange_several(tick, min(stop, tick + 1) if self._external else stop)
+        external = self._external.pop(tick, [])
+        self.tick += stretch.n_ticks
+        self._fates.append(stretch.fates)
+        self._fate_counts += stretch.fate_counts
+        messages: list[Message] = []
+        for (name, station), mail in zip(self._stations.items(), stretch.mail, strict=True):
+            if station.replay is not None:
+                self._keep_mail(station.replay, external, mail, stretch.n_ticks)
+            if name not in self._behind:
+                station.sent += stretch.n_ticks
+                body = [*external, *codec.encode_mail(mail, stretch.n_ticks)]
+                messages.append(Message(name, Kind.MAIL, tick, body))
+        return messages
+
+    @staticmethod
+    def _keep_mail(replay: Replay, external: list[Part], mail: Mail, n_ticks: int) -> None:
+        """Keep what a replacement may ask for, tick by tick."""
+        n = len(mail) // n_ticks
+        for i in range(n_ticks):
+            replay.keep([*external, *codec.encode_mail(mail.of(range(i * n, i * n + n)), 1)])
 
     def _finish(self) -> list[Message]:
         """The last fates, and those of what is still in flight, which go under the last tick."""
         messages = self.flush()
-        in_flight = codec.encode_fates([self._emulator.finish()])
-        messages.append(Message(ORCHESTRATOR, Kind.FATES, self._plan.ticks, in_flight))
+        in_flight = self._emulator.finish()
+        fates = codec.encode_fates([len(in_flight)], [in_flight])
+        messages.append(Message(ORCHESTRATOR, Kind.FATES, self._plan.ticks, fates))
         return [*messages, Message(ORCHESTRATOR, Kind.DONE, self._plan.ticks)]
 
     # --- replacements -----------------------------------------------------------------------------------------------
@@ -217,20 +267,20 @@ class Emulation:
         self._replaced.add(old)
         self._behind.discard(old)
         self._behind.add(new)
-        return Message(ORCHESTRATOR, Kind.REPLACE, self._exchanged, list(codec.encode_object({"old": old, "new": new})))
+        return Message(ORCHESTRATOR, Kind.REPLACE, self.tick, list(codec.encode_object({"old": old, "new": new})))
 
     def _repeat(self) -> list[Message]:
         """The next mail for replacements: never more than they can take, as their samples show."""
         messages = []
         for name in sorted(self._behind):
             station = self._stations[name]
-            replay, stop = station.replay, min(self._exchanged, station.said + _AHEAD_TICKS)
+            replay, stop = station.replay, min(self.tick, station.said + _AHEAD_TICKS)
             if replay is None or not station.said:  # it has not begun
                 continue
             while station.sent < stop and replay.size(min(station.said, station.sent), station.sent) < _AHEAD_BYTES:
                 messages.append(Message(name, Kind.MAIL, station.sent, [replay.mail(station.sent)]))
                 station.sent += 1
-            if station.sent == self._exchanged:
+            if station.sent == self.tick:
                 self._behind.discard(name)
         return messages
 
@@ -238,7 +288,7 @@ class Emulation:
     def _position(self, question: int) -> Message:
         """Who has got how far, for the account of a fault."""
         position = {
-            "exchanged": self._exchanged,
+            "exchanged": self.tick,
             "granted": self._granted,
             "samples": {name: station.said for name, station in self._stations.items()},
             "mail": {name: station.sent for name, station in self._stations.items()},

@@ -187,16 +187,6 @@ class Closed:
         self._dismissed = self._dismissed or kind is Kind.BYE
         self._hub.send(receiver, kind, tick, *parts)
 
-    def post(self, receiver: str, kind: Kind, tick: int, *parts: bytes | bytearray | memoryview) -> None:
-        self._hub.post(receiver, kind, tick, *parts)
-
-    @property
-    def posted(self) -> bool:
-        return self._hub.posted
-
-    def push(self) -> None:
-        self._hub.push()
-
     def receive(self, timeout: float) -> Envelope:
         deadline = time.monotonic() + timeout
         while True:

@@ -168,16 +168,6 @@ class Witness:
             self.failure = Failure.decode(frame).error
         self._endpoint.send(receiver, kind, tick, *parts)
 
-    def post(self, receiver: str, kind: Kind, tick: int, *parts: Part) -> None:
-        self._endpoint.post(receiver, kind, tick, *parts)
-
-    @property
-    def posted(self) -> bool:
-        return self._endpoint.posted
-
-    def push(self) -> None:
-        self._endpoint.push()
-
     def receive(self, timeout: float) -> Envelope:
         envelope = self._endpoint.receive(timeout)
         if envelope.kind is Kind.BYE:

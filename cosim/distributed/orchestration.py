@@ -94,7 +94,7 @@ class Orchestration:
         self._observers = observers
         self._take = take
         self._external: list[Message] = []  # what was taken since the last grant
-        self._master = Master([0] * len(workers), 0, plan.ticks)
+        self._master = Master([0], 0, plan.ticks)
         self._unready = {EMULATOR, *workers}
         self._unexpected: set[str] = set()  # replacements of which the emulator does not know yet
         self._hired: list[str] = []  # replacements that have not begun
@@ -274,8 +274,7 @@ class Orchestration:
 
     def _record_rows(self) -> None:
         tick = self._master.tick
-        for index in range(len(self._carriers)):
-            self._over = isinstance(self._master.published(index, tick, _NO_SAMPLES), Finish)
+        self._over = isinstance(self._master.published(0, tick, _NO_SAMPLES), Finish)
         row = np.concatenate([carrier.rows.popleft() for carrier in self._carriers.values()])
         if self._order is not None:
             row = row[self._order]

@@ -36,8 +36,9 @@ from network.transport import Endpoint, Envelope, Kind, PeerLost, Refused, Trans
 FLUSH_SECONDS = 0.05
 """How long rows and fates may be held back."""
 
-TOGETHER_SECONDS = 0.0005
-"""How long messages may be held back so that others travel with them: some times what it costs to send one."""
+_MOST_TICKS = 64
+_TOGETHER_SECONDS = 0.0005
+"""How long ticks are worked on before they travel: some times what it costs to send a message."""
 
 _IDLE_SECONDS = 1.0
 _ONE_THREAD = "(rx:(handover:app),acc:(handover:app),tx:(handover:app),net:(handover:app),app:(worker_threads:1))"
@@ -50,9 +51,21 @@ _MAIL_BYTES = 32 << 20
 
 
 class Machine(Protocol):
-    """What a worker and the emulator have in common."""
+    """What a worker and the emulator have in common.
+
+    The call order is `prepare`, then `take`, `act` and `flush` as they come until `finished`, then `close`. Between
+    what comes in and what goes out, as many ticks are gathered as there are: how many changes no result.
+    """
 
     finished: bool
+
+    @property
+    def tick(self) -> int:
+        """How far it is."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether `act` would do something."""
 
     @property
     def holds_back(self) -> bool:
@@ -61,8 +74,11 @@ class Machine(Protocol):
     def prepare(self) -> list[Message]:
         """Before anything else."""
 
-    def handle(self, envelope: Envelope) -> list[Message]:
-        """What a message asks for."""
+    def take(self, envelope: Envelope) -> list[Message]:
+        """Hand over a message; what is to be said to it at once."""
+
+    def act(self, most: int) -> list[Message]:
+        """Go on by `most` ticks at most, as far as what was taken allows."""
 
     def flush(self) -> list[Message]:
         """What is held back."""
@@ -90,16 +106,6 @@ def send(endpoint: Endpoint, messages: Sequence[Message]) -> None:
     """Send messages in their order."""
     for message in messages:
         endpoint.send(message.receiver, message.kind, message.tick, *message.parts)
-
-
-def post(endpoint: Endpoint, messages: Sequence[Message]) -> None:
-    """Send messages in their order, as soon as nothing waits to be handled; those to the orchestrator at once.
-
-    So nothing that it is told of, as by a PONG, is still to leave.
-    """
-    for message in messages:
-        to = endpoint.send if message.receiver == ORCHESTRATOR else endpoint.post
-        to(message.receiver, message.kind, message.tick, *message.parts)
 
 
 def serve(
@@ -151,24 +157,24 @@ def serve(
 
 
 def _carry_out(endpoint: Endpoint, served: Machine, hold_back: float) -> None:
-    """Handle messages until the end; rows and fates go out after at most `hold_back` seconds.
-
-    What is to be sent while messages wait to be handled travels together, for a while.
-    """
-    flushed = since = time.monotonic()
+    """Take all that has come, act on it, until the end; rows and fates go out after at most `hold_back` seconds."""
+    flushed, most = time.monotonic(), _MOST_TICKS
     while not served.finished:
-        envelope = _next(endpoint, hold_back if served.holds_back else _IDLE_SECONDS)
-        if not endpoint.posted:
-            since = time.monotonic()
-        if envelope is not None:
-            post(endpoint, served.handle(envelope))
+        envelope = _next(endpoint, 0 if served.busy else hold_back if served.holds_back else _IDLE_SECONDS)
+        idle = envelope is None
+        while envelope is not None and not served.finished:
+            send(endpoint, served.take(envelope))
+            envelope = _next(endpoint, 0)
+        if served.busy:
+            tick, began = served.tick, time.monotonic()
+            messages = served.act(most)
+            per_tick = (time.monotonic() - began) / max(1, served.tick - tick)
+            most = max(1, min(_MOST_TICKS, int(_TOGETHER_SECONDS / per_tick)))
+            send(endpoint, messages)
         now = time.monotonic()
-        if envelope is None or now - flushed >= hold_back:
-            post(endpoint, served.flush())
+        if now - flushed >= hold_back or (idle and not served.busy):
+            send(endpoint, served.flush())
             flushed = now
-        if now - since > TOGETHER_SECONDS:
-            endpoint.push()
-    endpoint.push()
 
 
 def _next(endpoint: Endpoint, timeout: float) -> Envelope | None:

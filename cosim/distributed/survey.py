@@ -7,7 +7,7 @@ the hub: so what was sent before an answer to one round was given has arrived be
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from cosim.distributed.assignment import EMULATOR, Message
@@ -22,12 +22,12 @@ class Position:
     Attributes:
         tick: a worker's; for the emulator, the ticks answered.
         samples: ticks whose samples are published; for the emulator, that have come, by worker.
-        mail: ticks whose mail has been sent, by worker.
+        mail: ticks whose mail has come; for the emulator, that has been sent, by worker.
     """
 
     tick: int
     samples: Mapping[str, int]
-    mail: Mapping[str, int] = field(default_factory=dict)
+    mail: Mapping[str, int]
 
     @classmethod
     def decode(cls, envelope: Envelope) -> Position:
@@ -41,7 +41,7 @@ class Position:
             if envelope.sender == EMULATOR:
                 counts = ({str(k): int(v) for k, v in tree[key].items()} for key in ("samples", "mail"))
                 return cls(int(tree["exchanged"]), *counts)
-            return cls(int(tree["tick"]), {envelope.sender: int(tree["samples"])})
+            return cls(int(tree["tick"]), *({envelope.sender: int(tree[key])} for key in ("samples", "mail")))
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise WireError(envelope.sender, f"a position that cannot be read: {error!r}") from error
 
@@ -94,8 +94,8 @@ class Survey:
         """A message that cannot be under way any more, and has not arrived."""
         for name in workers:
             emulator, worker = self._before.get(EMULATOR), self._answers.get(name)
-            if emulator is not None and worker is not None and emulator.mail.get(name, 0) > worker.tick:
-                return Lost(Kind.MAIL, worker.tick, EMULATOR, name)
+            if emulator is not None and worker is not None and emulator.mail.get(name, 0) > worker.mail[name]:
+                return Lost(Kind.MAIL, worker.mail[name], EMULATOR, name)
             emulator, worker = self._answers.get(EMULATOR), self._before.get(name)
             if emulator is not None and worker is not None:
                 arrived = emulator.samples.get(name, worker.samples[name])

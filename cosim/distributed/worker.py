@@ -1,16 +1,18 @@
 """A worker: carries some of the agents. Pure given their components: envelopes in, messages out.
 
-It publishes tick 0 when it is granted to begin, advances its agents whenever the mail of a tick comes in, and hands
+It publishes tick 0 when it is granted to begin, advances its agents over the ticks whose mail has come in, and hands
 over what is recorded in batches.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.agents import Agents
+from cosim.agents import NOTHING, Agents
 from cosim.distributed.assignment import EMULATOR, ORCHESTRATOR, Message, Share, batch_ticks, blocks, pick
 from cosim.distributed.failure import INITIALISING, OPENING, Failure
 from cosim.errors import ConfigError, RunError
@@ -21,8 +23,28 @@ from network.messages import Floats, Ints, Mail
 from network.transport import Envelope, Kind, WireError
 
 
+@dataclass(frozen=True)
+class _Mail:
+    """Mail of some ticks.
+
+    Attributes:
+        taken: values from outside that are new at the first of them.
+    """
+
+    tick: int
+    n_ticks: int
+    mail: Mail
+    taken: Mapping[int, Floats]
+
+    def split(self, n: int, n_agents: int) -> tuple[_Mail, _Mail]:
+        """That of the first `n` ticks, and the rest."""
+        begin, end = n * n_agents, self.n_ticks * n_agents
+        first = _Mail(self.tick, n, self.mail.of(range(begin)), self.taken)
+        return first, _Mail(self.tick + n, self.n_ticks - n, self.mail.of(range(begin, end)), NOTHING)
+
+
 class Worker:
-    """The call order is `prepare`, then `handle` and `flush` as they come until `finished`, then `close`.
+    """See `cosim.distributed.serving.Machine`.
 
     Args:
         plan: of the whole run.
@@ -42,8 +64,10 @@ class Worker:
         self._agents: Agents | None = None
         self._wire = blocks(plan, workers)[name]
         self._sizes = [subscription.size for subscription in plan.bridge.subscribe]
-        self._rows: list[Floats] = []
-        self._tick = 0
+        self._rows: list[Floats] = []  # (n_ticks, row_width) pieces that are held back
+        self._mail: deque[_Mail] = deque()  # that has come
+        self._mail_in = 0  # ticks whose mail has come
+        self.tick = 0
         self._whereabouts = np.zeros(2, np.int64) if whereabouts is None else whereabouts
         self._logs = logs
         self._started = self._failed = False
@@ -58,11 +82,16 @@ class Worker:
         """Whether `flush` would send something."""
         return bool(self._rows)
 
+    @property
+    def busy(self) -> bool:
+        """Whether `act` would do something."""
+        return bool(self._mail) and not self._failed
+
     def prepare(self) -> list[Message]:
         """Open the agents and bring them to tick 0."""
         self._whereabouts[:] = OPENING, -1
         try:
-            self._agents = Agents(self._plan, self._own, self._whereabouts[1:], self._logs)
+            self._agents = Agents(self._plan, self._own, self._whereabouts, self._logs)
         except (RunError, ConfigError) as error:
             return self._fail(Failure(OPENING, self._index_of(error), error))
         self._whereabouts[0] = INITIALISING
@@ -73,8 +102,8 @@ class Worker:
         self._whereabouts[0] = 0
         return [Message(ORCHESTRATOR, Kind.READY, 0)]
 
-    def handle(self, envelope: Envelope) -> list[Message]:
-        """Whatever a message asks for.
+    def take(self, envelope: Envelope) -> list[Message]:
+        """Whatever a message asks for; mail is kept for `act`.
 
         Raises:
             WireError: it is not this message's turn, or it does not hold what it should.
@@ -89,21 +118,36 @@ class Worker:
         if not self._started:
             envelope.expect(Kind.GRANT)
             self._started = True
-            return self._publish()
-        envelope.expect(Kind.MAIL, self._tick)
-        if self._tick == self._plan.ticks:
-            raise WireError(envelope.sender, f"mail of tick {self._tick}, at which the run ends")
-        taken: Mapping[int, Floats] = {}
-        if self._sizes:
-            taken, envelope = codec.decode_external(self._sizes, envelope)
-        return self._advance(codec.decode_mail(self._wire, envelope), taken)
+            return self._publish([self._opened.samples()[None]], [self._opened.row()[None]])
+        self._take_mail(envelope.expect(Kind.MAIL, self._mail_in))
+        return []
+
+    def act(self, most: int) -> list[Message]:
+        """Advance over ticks whose mail has come, `most` at most."""
+        samples: list[Floats] = []
+        rows: list[Floats] = []
+        error: RunError | None = None
+        while self._mail and error is None and most > 0:
+            mail = self._mail.popleft()
+            if mail.n_ticks > most:
+                mail, rest = mail.split(most, len(self._share))
+                self._mail.appendleft(rest)
+            most -= mail.n_ticks
+            course = self._opened.advance_several(mail.tick, mail.n_ticks, mail.mail, mail.taken)
+            self.tick += len(course)
+            samples.append(course.samples)
+            rows.append(course.rows)
+            error = course.error
+        self._whereabouts[0] = self.tick
+        messages = self._publish(samples, rows)
+        return messages if error is None else messages + self._fail(Failure(self.tick, self._index_of(error), error))
 
     def flush(self) -> list[Message]:
         """Hand over the rows that are held back."""
         if not self._rows:
             return []
         rows, self._rows = self._rows, []
-        first = self._tick + 1 - len(rows)
+        first = self.tick + 1 - sum(map(len, rows))
         return [Message(ORCHESTRATOR, Kind.ROWS, first, codec.encode_rows(self._wire, rows))]
 
     def close(self) -> None:
@@ -111,29 +155,36 @@ class Worker:
         if self._agents is not None:
             self._agents.terminate()
 
-    def _advance(self, mail: Mail, taken: Mapping[int, Floats]) -> list[Message]:
-        try:
-            self._opened.advance(self._tick, mail, taken)
-        except RunError as error:
-            return self._fail(Failure(self._tick, self._index_of(error), error))
-        self._tick += 1
-        self._whereabouts[0] = self._tick
-        return self._publish()
+    def _take_mail(self, envelope: Envelope) -> None:
+        tick, taken = self._mail_in, NOTHING
+        if self._sizes:
+            taken, envelope = codec.decode_external(self._sizes, envelope)
+        n_ticks, mail = codec.decode_mail(self._wire, envelope)
+        if tick + n_ticks > self._plan.ticks:
+            raise WireError(envelope.sender, f"mail of tick {self._plan.ticks}, at which the run ends")
+        self._mail.append(_Mail(tick, n_ticks, mail, taken))
+        self._mail_in += n_ticks
 
-    def _publish(self) -> list[Message]:
-        """The sample of the current tick, and the rows if there are enough."""
-        agents = self._opened
-        self._rows.append(agents.row())
-        if self._tick == self._plan.ticks:
-            return [*self.flush(), Message(ORCHESTRATOR, Kind.DONE, self._tick)]
-        samples = codec.encode_samples(self._wire, agents.samples())
-        messages = [Message(EMULATOR, Kind.SAMPLES, self._tick, samples)]
-        return messages + self.flush() if len(self._rows) >= self._batch_ticks else messages
+    def _publish(self, samples: list[Floats], rows: list[Floats]) -> list[Message]:
+        """The samples of the ticks up to the current one, and the rows if there are enough."""
+        n_ticks = sum(map(len, rows))
+        if not n_ticks:
+            return []
+        self._rows += rows
+        first, over = self.tick - n_ticks + 1, self.tick == self._plan.ticks
+        if over:  # nobody hears the last ones
+            samples[-1] = samples[-1][:-1]
+        messages = []
+        if n_ticks > over:
+            messages.append(Message(EMULATOR, Kind.SAMPLES, first, codec.encode_samples(self._wire, samples)))
+        if over or sum(map(len, self._rows)) >= self._batch_ticks:
+            messages += self.flush()
+        return [*messages, Message(ORCHESTRATOR, Kind.DONE, self.tick)] if over else messages
 
     def _position(self, question: int) -> Message:
-        """How far it is, for the account of a fault."""
-        published = min(self._tick + 1, self._plan.ticks) if self._started else 0
-        position = {"tick": self._tick, "samples": published}
+        """How far it is, for the account of a fault; all that it has published is sent."""
+        published = min(self.tick + 1, self._plan.ticks) if self._started else 0
+        position = {"tick": self.tick, "mail": self._mail_in, "samples": published}
         return Message(ORCHESTRATOR, Kind.PONG, question, codec.encode_object(position))
 
     def _fail(self, failure: Failure) -> list[Message]:

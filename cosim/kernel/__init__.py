@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.components.component import Component
 from cosim.errors import ComponentError
@@ -23,10 +24,12 @@ from network.units import to_seconds
 if TYPE_CHECKING:
     from cosim.memory import LoopMemory
     from cosim.wiring import Wiring
-    from network.messages import Ints, Mail
+    from network.messages import Floats, Ints, Mail
 
 _LATEST_NS = 2**53
 """Up to here (104 days) a time in nanoseconds is exact as a float64, as the kernel needs it."""
+
+_NOTHING: NDArray[np.int64] = np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True)
@@ -59,14 +62,22 @@ class NativeBlock:
         members: in ascending order of their index.
         memory: of these and possibly other agents.
         period_ns: T.
-        attended: (1,) takes the index of the member that is being advanced.
+        samples: indices into the signals of what is taken of all agents at a tick, to be published.
+        row: likewise, to be recorded.
+        attended: (2,) takes the tick from which members are being advanced, and the index of the one that is.
 
     Raises:
         ConfigError: the library is missing, a component is no FMU, or a connected variable holds no numbers.
     """
 
-    def __init__(
-        self, members: Sequence[Member], memory: LoopMemory, period_ns: int, attended: Ints | None = None
+    def __init__(  # noqa: PLR0917
+        self,
+        members: Sequence[Member],
+        memory: LoopMemory,
+        period_ns: int,
+        samples: Ints = _NOTHING,
+        row: Ints = _NOTHING,
+        attended: Ints | None = None,
     ) -> None:
         self._advance = layout.library().cosim_kernel_advance
         self._memory = memory
@@ -78,29 +89,46 @@ class NativeBlock:
         components = [row for kind, fmus in zip(self._kinds, self._fmus, strict=True) for row in kind.rows(fmus)]
         self._components = np.array(components, np.dtype(layout.Component))
         self._members = self._table()
-        self._attended = np.zeros(1, np.int64) if attended is None else attended
-        self._block = layout.Block(len(members), period_ns, self._members.ctypes.data, self._attended.ctypes.data)
+        self._attended = np.zeros(2, np.int64) if attended is None else attended
+        self._selected = [_plain(places.ravel(), np.int64) for places in (samples, row)]
+        self._block = layout.Block(
+            len(members),
+            len(memory.time),
+            period_ns,
+            *(array.ctypes.data for array in (self._members, self._attended, memory.signals)),
+            *(layout.Selection(len(places), places.ctypes.data) for places in self._selected),
+        )
         self._address = ctypes.addressof(self._block)
 
-    def advance(self, tick: int, mail: Mail) -> Failed | None:
-        """From `tick` to the next one; the first failure ends it, and members after that one stay where they are.
+    def advance(
+        self, tick: int, n_ticks: int, mail: Mail, samples: Floats | None = None, rows: Floats | None = None
+    ) -> tuple[int, Failed | None]:
+        """From `tick` over some periods; the first failure ends it, and members after that one stay where they are.
 
         Args:
             tick: the one at which the agents are.
-            mail: of all agents whose memory it is.
+            n_ticks: how many periods.
+            mail: of all agents whose memory it is, tick by tick.
+            samples: (n_ticks, …) takes what is published at the end of every period.
+            rows: (n_ticks, …) likewise, what is recorded.
+
+        Returns:
+            How many periods all members have advanced, and what ended it.
         """
         if self._over:
             raise ValueError("a member has failed or ended")
-        if (tick + 1) * self._period_ns > _LATEST_NS:
+        if (tick + n_ticks) * self._period_ns > _LATEST_NS:
             text = f"the native loop counts time up to {to_seconds(_LATEST_NS):.0f} s; use `coupling: {{loop: python}}`"
-            return self._failed(0, ComponentError(self._fmus[0][0].name, text))
+            return 0, self._failed(0, ComponentError(self._fmus[0][0].name, text))
         columns = [_plain(column, np.int64) for column in (mail.ends, mail.arrival_ns, mail.slot, mail.stamp)]
         columns.append(_plain(mail.values, np.float64))
         arguments = layout.Mail(*(column.ctypes.data for column in columns))
-        advanced = self._advance(self._address, tick, ctypes.addressof(arguments))
-        if advanced == len(self._indices):
-            return None
-        return self._failed(advanced, self._kinds[advanced].failure(self._fmus[advanced]))
+        taken = (None if array is None else array.ctypes.data for array in (samples, rows))
+        advanced = self._advance(self._address, tick, n_ticks, ctypes.addressof(arguments), *taken)
+        if advanced == n_ticks:
+            return n_ticks, None
+        failed = self._block.failed
+        return advanced, self._failed(failed, self._kinds[failed].failure(self._fmus[failed]))
 
     def end(self) -> None:
         """The instances are about to be freed: refuse to advance them any further."""

@@ -10,7 +10,8 @@
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
-EXPORT int64_t cosim_kernel_advance(const Block *block, int64_t tick, const Mail *mail);
+EXPORT int64_t cosim_kernel_advance(Block *block, int64_t tick, int64_t n_ticks, const Mail *mail, double *samples,
+                                    double *rows);
 EXPORT uint64_t cosim_kernel_sizes(void);
 
 bool fail(Agent *agent, Failure failure) {
@@ -116,23 +117,42 @@ static bool advance(Agent *agent, int64_t start_ns, int64_t period_ns, const Mai
     return !deliver_at(agent, start_ns, period_ns, mail, &i, last, end_ns) || handle_event(agent, end_ns, true);
 }
 
-/* Advance members from `tick` to the next one, in their order. How many have been: if not all, then the next one has
- * failed, and its kind says why. */
-EXPORT int64_t cosim_kernel_advance(const Block *block, int64_t tick, const Mail *mail) {
+/* Advance members from `tick` to the next one, in their order. Which one failed, n_members for none; its kind says
+ * why. */
+static int64_t advance_members(const Block *block, int64_t tick, const Mail *mail, const int64_t *ends) {
     for (int64_t i = 0; i < block->n_members; i++) {
         const Member *member = &block->members[i];
         Agent *agent = member->agent;
-        *block->attended = member->place;
+        block->attended[1] = member->place;
         agent->components = member->components;
         agent->signals = member->signals;
         agent->previous = member->previous;
         agent->steps = member->steps;
         agent->next_event = member->next_event;
         agent->time = member->time;
-        int64_t first = mail->ends[member->place], last = mail->ends[member->place + 1];
+        int64_t first = ends[member->place], last = ends[member->place + 1];
         if (!advance(agent, tick * block->period_ns, block->period_ns, mail, first, last)) return i;
     }
     return block->n_members;
+}
+
+static double *gather(const double *signals, const Selection *selection, double *values) {
+    for (int64_t i = 0; i < selection->n; i++) values[i] = signals[selection->places[i]];
+    return values + selection->n;
+}
+
+/* Advance members from `tick` over `n_ticks` periods. After each, a row of `samples` and one of `rows` are filled,
+ * unless those are null. How many periods all members have advanced: if not all, then `block->failed` has failed. */
+EXPORT int64_t cosim_kernel_advance(Block *block, int64_t tick, int64_t n_ticks, const Mail *mail, double *samples,
+                                    double *rows) {
+    for (int64_t i = 0; i < n_ticks; i++) {
+        block->attended[0] = tick + i;
+        block->failed = advance_members(block, tick + i, mail, mail->ends + i * block->n_receivers);
+        if (block->failed < block->n_members) return i;
+        if (samples) samples = gather(block->signals, &block->samples, samples);
+        if (rows) rows = gather(block->signals, &block->row, rows);
+    }
+    return n_ticks;
 }
 
 /* Sizes of the structs that the caller fills, so that it can notice another version of the library. */

@@ -120,9 +120,10 @@ typedef struct {
     double value;     /* time reached, or step size */
 } Failure;
 
-/* What reaches several agents during a tick, agent by agent, in the order of arrival (network/messages.py). */
+/* What reaches several agents during ticks that follow each other, tick by tick and agent by agent, in the order of
+ * arrival (network/messages.py). */
 typedef struct {
-    const int64_t *ends; /* where the deliveries of each agent begin, and the end */
+    const int64_t *ends; /* where the deliveries of each agent begin, tick by tick, and the end */
     const int64_t *arrival_ns;
     const int64_t *slot;
     const int64_t *stamp;
@@ -188,12 +189,23 @@ typedef struct {
     int64_t place; /* among the receivers of the mail */
 } Member;
 
+/* Some of the signals of a process, in the order in which they are wanted. */
+typedef struct {
+    int64_t n;
+    const int64_t *places;
+} Selection;
+
 /* Agents that are advanced by one call. */
 typedef struct {
     int64_t n_members;
+    int64_t n_receivers; /* of the mail of a tick */
     int64_t period_ns;
     const Member *members;
-    volatile int64_t *attended; /* the place of the member that is being advanced: others look at it */
+    volatile int64_t *attended; /* the tick from which members are being advanced, and the place of the one that is: others look at it */
+    const double *signals; /* of all receivers of the mail */
+    Selection samples; /* what they publish */
+    Selection row;     /* what is recorded of them */
+    int64_t failed;    /* which member has */
 } Block;
 
 static inline double to_seconds(int64_t nanoseconds) { return (double)nanoseconds / NANOSECONDS_PER_SECOND; }

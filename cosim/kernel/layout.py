@@ -154,10 +154,21 @@ class Member(ctypes.Structure):
     )
 
 
+class Selection(ctypes.Structure):
+    """Some of the signals."""
+
+    _fields_ = (("n", c_int64), ("places", c_void_p))
+
+
 class Block(ctypes.Structure):
     """Agents that are advanced by one call."""
 
-    _fields_ = (("n_members", c_int64), ("period_ns", c_int64), ("members", c_void_p), ("attended", c_void_p))
+    _fields_ = (
+        *((name, c_int64) for name in ("n_members", "n_receivers", "period_ns")),
+        *((name, c_void_p) for name in ("members", "attended", "signals")),
+        *((name, Selection) for name in ("samples", "row")),
+        ("failed", c_int64),
+    )
 
 
 @functools.cache
@@ -174,7 +185,7 @@ def library() -> ctypes.CDLL:
         loaded.cosim_kernel_sizes.restype = c_uint64
     except (OSError, AttributeError) as error:
         raise _unusable(f"cannot be loaded ({error})") from error
-    loaded.cosim_kernel_advance.argtypes = (c_void_p, c_int64, c_void_p)
+    loaded.cosim_kernel_advance.argtypes = (c_void_p, c_int64, c_int64, c_void_p, c_void_p, c_void_p)
     agent, component, transfer, *others = (
         ctypes.sizeof(struct) for struct in (Agent, Component, Transfer, Failure, Mail, Member, Block)
     )

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from itertools import count
 
-from cosim.distributed.assignment import EMULATOR, Job, Message, Share, divide, renamed
+from cosim.distributed.assignment import EMULATOR, Job, Share, divide, renamed
 from cosim.distributed.orchestration import Orchestration
 from cosim.distributed.replacement import Moment
-from cosim.distributed.serving import Machine, machine, post, send
+from cosim.distributed.serving import Machine, machine, send
 from cosim.inline import Observer, Take
 from cosim.plan import Plan
 from network.transport import InMemoryEndpoint, InMemoryNetwork, Kind, PeerLost, Tamper, TransportTimeout
@@ -97,7 +97,7 @@ class Loopback:
         send(self._hub, messages + self.orchestration.employ([new]))
 
     def _step(self, name: str) -> bool:
-        """Let a process handle one message, or flush; whether it did anything."""
+        """Let a process take one message, act or flush; whether it did anything."""
         if name == "orchestrator":
             try:
                 send(self._hub, self.orchestration.handle(self._hub.receive(0)))
@@ -112,18 +112,21 @@ class Loopback:
         if name in self._dead:
             return False
         endpoint = self._endpoints[name]
+        served = self._machines.get(name)
+        if served is not None and served.busy and self._order.random() < 0.5:
+            send(endpoint, served.act(self._order.choice([1, 2, 64])))
+            return True
         try:
             envelope = endpoint.receive(0)
         except TransportTimeout:
-            messages = self._machines[name].flush() if name in self._machines else []
-            self._say(endpoint, messages)
+            if served is None:
+                return False
+            messages = served.act(64) if served.busy else served.flush()
+            send(endpoint, messages)
             return bool(messages)
         if envelope.kind is Kind.SCENARIO:
             self._machines[name] = machine(name, Job.decode(envelope))
-            self._say(endpoint, self._machines[name].prepare())
-        else:
-            self._say(endpoint, self._machines[name].handle(envelope))
+            send(endpoint, self._machines[name].prepare())
+        elif served is not None:
+            send(endpoint, served.take(envelope))
         return True
-
-    def _say(self, endpoint: InMemoryEndpoint, messages: Sequence[Message]) -> None:
-        (post if self._order.random() < 0.5 else send)(endpoint, messages)

@@ -125,7 +125,7 @@ class LiveAgent:
         came = mail(rows, self._layout)
         if self._block is None:
             self.python.advance(tick * T_NS, (tick + 1) * T_NS, self._mailbox.accept(came))
-        elif failed := self._block.advance(tick, came):
+        elif failed := self._block.advance(tick, 1, came)[1]:
             raise failed.error
 
     def end(self) -> None:

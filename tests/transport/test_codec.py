@@ -97,16 +97,24 @@ def fates(draw: st.DrawFn, tick: int) -> Fates:
     return Fates(sender, receiver, sent_at // 2, sent_at, np.where(fate == Fate.LOST, NEVER, arrival), fate)
 
 
+@st.composite
+def pieces(draw: st.DrawFn, least: int, *shape: int) -> list[Floats]:
+    """Ticks that follow each other, a few at a time."""
+    sizes = draw(st.lists(st.integers(least, 3), min_size=least, max_size=3))
+    return [floats(draw, size, *shape) for size in sizes]
+
+
 @given(st.data(), blocks)
 def test_samples_come_out(data: st.DataObject, block: Block) -> None:
-    samples = floats(data.draw, len(block), block.width)
-    assert same(samples, decode_samples(block, sent(encode_samples(block, samples))))
+    samples = data.draw(pieces(1, len(block), block.width))
+    assert same(np.concatenate(samples), decode_samples(block, sent(encode_samples(block, samples))))
 
 
-@given(st.data(), blocks, st.integers(0, 10))
-def test_mail_comes_out(data: st.DataObject, block: Block, tick: int) -> None:
-    mail = [data.draw(deliveries(block, agent, tick)) for agent in range(len(block))]
-    came = decode_mail(block, sent(encode_mail(joined(mail)), tick))
+@given(st.data(), blocks, st.integers(0, 10), st.integers(1, 3))
+def test_mail_comes_out(data: st.DataObject, block: Block, tick: int, n_ticks: int) -> None:
+    mail = [data.draw(deliveries(block, agent, tick + i)) for i in range(n_ticks) for agent in range(len(block))]
+    n_came, came = decode_mail(block, sent(encode_mail(joined(mail), n_ticks), tick))
+    assert n_came == n_ticks
     assert len(came) == len(mail)
     for agent, (theirs, ours) in enumerate(zip(mail, came, strict=True)):
         assert same(ours.values, came[agent].values)
@@ -116,16 +124,17 @@ def test_mail_comes_out(data: st.DataObject, block: Block, tick: int) -> None:
         assert same(theirs.values, ours.values)
 
 
-@given(st.data(), blocks, st.integers(0, 3))
-def test_rows_come_out(data: st.DataObject, block: Block, n_ticks: int) -> None:
-    rows = floats(data.draw, n_ticks, sum(block.widths))
-    assert same(rows, decode_rows(block, sent(encode_rows(block, list(rows)))))
+@given(st.data(), blocks)
+def test_rows_come_out(data: st.DataObject, block: Block) -> None:
+    rows = data.draw(pieces(0, sum(block.widths)))
+    joined_rows = np.concatenate([np.empty((0, sum(block.widths))), *rows])
+    assert same(joined_rows, decode_rows(block, sent(encode_rows(block, rows))))
 
 
 @given(st.data(), st.integers(0, 10), st.integers(0, 3))
 def test_fates_come_out(data: st.DataObject, tick: int, n_ticks: int) -> None:
     ticks = [data.draw(fates(tick + i)) for i in range(n_ticks)]
-    came = decode_fates(N_AGENTS, sent(encode_fates(ticks), tick))
+    came = decode_fates(N_AGENTS, sent(encode_fates([*map(len, ticks)], ticks), tick))
     assert len(came) == n_ticks
     for theirs, ours in zip(ticks, came, strict=True):
         for name in ("sender", "receiver", "stamp", "sent", "arrival_ns", "fate"):
@@ -162,8 +171,8 @@ def test_values_from_outside_that_no_orchestrator_sends_are_refused(body: bytes,
 
 def test_arrays_in_any_order_of_memory_come_out() -> None:
     block = Block((1, 1), (3, 3), 3, T)
-    values = np.arange(12.0).reshape(6, 2).T[:, ::2]
-    assert same(np.array(values), decode_samples(block, sent(encode_samples(block, values))))
+    values = np.arange(12.0).reshape(6, 2).T[:, ::2][None]
+    assert same(np.array(values), decode_samples(block, sent(encode_samples(block, [values]))))
 
 
 json_values = st.recursive(
@@ -186,12 +195,12 @@ MAIL = [
     Deliveries(ints(5 * T + 3), ints(0), ints(0), np.ones((1, 2))),
 ]
 FATES = Fates(ints(0, 8), ints(1, 0), ints(3, 5), ints(4, 5), ints(NEVER, 6 * T), ints(Fate.LOST, Fate.DELIVERED))
-ROWS = [np.ones(3)] * 2
+ROWS = [np.ones((2, 3)), np.ones((1, 3))]
 GOOD: list[tuple[Callable[[Envelope], object], list[Part]]] = [
-    (lambda envelope: decode_samples(BLOCK, envelope), encode_samples(BLOCK, np.ones((3, 2)))),
-    (lambda envelope: decode_mail(BLOCK, envelope), encode_mail(joined(MAIL))),
+    (lambda envelope: decode_samples(BLOCK, envelope), encode_samples(BLOCK, [np.ones((2, 3, 2))])),
+    (lambda envelope: decode_mail(BLOCK, envelope), encode_mail(joined(MAIL), 1)),
     (lambda envelope: decode_rows(BLOCK, envelope), encode_rows(BLOCK, ROWS)),
-    (lambda envelope: decode_fates(N_AGENTS, envelope), encode_fates([FATES, FATES])),
+    (lambda envelope: decode_fates(N_AGENTS, envelope), encode_fates([2, 2], [FATES, FATES])),
     (decode_object, encode_object({"a": [1, 2]})),
 ]
 
@@ -218,6 +227,23 @@ def test_any_change_of_a_body_is_refused_or_harmless(
         decode(sent([body]))
 
 
+def test_messages_of_no_tick_are_refused() -> None:
+    with pytest.raises(WireError, match="announces 0 ticks"):
+        decode_samples(BLOCK, sent(encode_samples(BLOCK, [np.ones((0, 3, 2))])))
+    with pytest.raises(WireError, match="announces 0 ticks"):
+        decode_mail(BLOCK, sent(encode_mail(joined([]), 0)))
+
+
+def test_mail_of_a_tick_must_not_come_in_another() -> None:
+    later = replace(MAIL[2], arrival_ns=ints(6 * T + 3))
+    decode_mail(BLOCK, sent(encode_mail(joined([*MAIL, MAIL[1], MAIL[1], later]), 2)))
+    with pytest.raises(WireError, match="arrives outside its tick"):
+        decode_mail(BLOCK, sent(encode_mail(joined([*MAIL, *MAIL]), 2)))
+    too_new = replace(later, stamp=ints(7))
+    with pytest.raises(WireError, match="has an impossible stamp"):
+        decode_mail(BLOCK, sent(encode_mail(joined([*MAIL, MAIL[1], MAIL[1], too_new]), 2)))
+
+
 @pytest.mark.parametrize(
     ("column", "values", "what"),
     [
@@ -234,12 +260,12 @@ def test_mail_that_no_emulator_sends_is_refused(column: str, values: Ints, what:
     changes: dict[str, Any] = {column: values}
     mail = [replace(MAIL[0], **changes), *MAIL[1:]]
     with pytest.raises(WireError, match=f"the body of MAIL of tick 5 has a message that {what}"):
-        decode_mail(BLOCK, sent(encode_mail(joined(mail)), kind=Kind.MAIL))
+        decode_mail(BLOCK, sent(encode_mail(joined(mail), 1), kind=Kind.MAIL))
 
 
 def test_mail_for_an_agent_without_neighbours_is_refused() -> None:
     with pytest.raises(WireError, match="is from no in-neighbour"):
-        decode_mail(BLOCK, sent(encode_mail(joined([MAIL[1], MAIL[0], MAIL[1]]))))
+        decode_mail(BLOCK, sent(encode_mail(joined([MAIL[1], MAIL[0], MAIL[1]]), 1)))
 
 
 @pytest.mark.parametrize(
@@ -258,7 +284,7 @@ def test_mail_for_an_agent_without_neighbours_is_refused() -> None:
 )
 def test_fates_that_no_emulator_tells_are_refused(column: str, values: Ints, what: str) -> None:
     with pytest.raises(WireError, match=f"has a message that {what}"):
-        decode_fates(N_AGENTS, sent(encode_fates([replace(FATES, **{column: values})])))
+        decode_fates(N_AGENTS, sent(encode_fates([2], [replace(FATES, **{column: values})])))
 
 
 @pytest.mark.parametrize("count", [-1, 2**31, 2**62, 2**63 - 1])
@@ -268,29 +294,33 @@ def test_absurd_counts_are_refused_before_memory_is_asked_for(count: int) -> Non
         with pytest.raises(WireError, match="announces"):
             decode(sent(head))
     with pytest.raises(WireError, match="announces more than it holds"):
-        decode_mail(BLOCK, sent([ints(count, count, count).data]))
+        decode_mail(BLOCK, sent([ints(1, count, count, count).data]))
+    with pytest.raises(WireError, match="announces"):
+        decode_mail(BLOCK, sent([ints(count, 0, 0, 0).data]))
+    with pytest.raises(WireError, match="announces"):
+        decode_samples(BLOCK, sent(head))
 
 
 @pytest.mark.parametrize("tick", [-1, 2**62 // T + 1, 2**63 - 1, -(2**63)])
 def test_ticks_beyond_any_run_are_refused(tick: int) -> None:
     with pytest.raises(WireError, match="is of no tick of any run"):
-        decode_mail(BLOCK, sent(encode_mail(joined(MAIL)), tick))
+        decode_mail(BLOCK, sent(encode_mail(joined(MAIL), 1), tick))
 
 
 @pytest.mark.parametrize("tick", [-1, 2**63 - 1])
 def test_fates_beyond_any_run_are_refused(tick: int) -> None:
     with pytest.raises(WireError, match="is of no tick of any run"):
-        decode_fates(N_AGENTS, sent(encode_fates([FATES]), tick))
+        decode_fates(N_AGENTS, sent(encode_fates([2], [FATES]), tick))
 
 
 def test_rows_of_another_size_are_not_sent() -> None:
     with pytest.raises(ValueError, match="rows must have 3 numbers"):
-        encode_rows(BLOCK, [np.ones(3), np.ones(2)])
+        encode_rows(BLOCK, [np.ones((1, 3)), np.ones((1, 2))])
 
 
 def test_samples_of_another_shape_are_not_sent() -> None:
     with pytest.raises(ValueError, match=r"samples must have the shape \(3, 2\)"):
-        encode_samples(BLOCK, np.ones((2, 3)))
+        encode_samples(BLOCK, [np.ones((1, 2, 3))])
 
 
 @pytest.mark.parametrize("body", [b"\xff", b"[1]", b"1", b"", b"{", b"[" * 100_000])

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import struct
 import zlib
-from contextlib import suppress
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from network.envelope import VERSION, Envelope, Kind, Streams, WireError, check_name, pack, unpack
+from network.envelope import VERSION, Envelope, Kind, Streams, WireError, check_name
 
 names = st.from_regex(r"[A-Za-z0-9][A-Za-z0-9._-]{0,20}", fullmatch=True)
 ticks = st.integers(-(2**63), 2**63 - 1)
@@ -52,30 +51,6 @@ def test_what_is_sent_comes_out(
         envelope = there.decode(sender, here.encode(receiver, kind, tick, parts))
         assert envelope == Envelope(sender, receiver, kind, tick, number, memoryview(b"".join(parts)))
         assert envelope.body.readonly
-
-
-@given(st.lists(bodies, min_size=1, max_size=5))
-def test_messages_that_travel_together_come_out_one_by_one_and_aligned(messages: list[list[bytes]]) -> None:
-    here, there = Streams("run", "worker-1"), Streams("run", "emulator")
-    packed = pack([here.encode("emulator", Kind.SAMPLES, tick, parts) for tick, parts in enumerate(messages)])
-    came = [there.decode("worker-1", frame) for frame in unpack(packed)]
-    assert [bytes(envelope.body) for envelope in came] == [b"".join(parts) for parts in messages]
-    assert all(packed.find(frame) % 8 == 0 for frame in map(bytes, unpack(packed)))
-
-
-@given(st.lists(bodies, min_size=1, max_size=4), st.data())
-def test_damage_to_messages_that_travel_together_is_noticed(messages: list[list[bytes]], data: st.DataObject) -> None:
-    here, there = Streams("run", "worker-1"), Streams("run", "emulator")
-    packed = bytearray(
-        pack([here.encode("emulator", Kind.SAMPLES, tick, parts) for tick, parts in enumerate(messages)])
-    )
-    at = data.draw(st.integers(0, len(packed) - 1))
-    packed[at] ^= data.draw(st.integers(1, 255))
-    came = []
-    with suppress(WireError):
-        came += [bytes(there.decode("worker-1", frame).body) for frame in unpack(bytes(packed))]
-        assert came == [b"".join(parts) for parts in messages]  # it was one of the zeros between them
-    assert came in ([], [b"".join(parts) for parts in messages])
 
 
 @given(names, names, names)

@@ -71,26 +71,6 @@ def test_messages_go_both_ways_and_between_processes(hub: ZenohHub, run: str) ->
             assert hub.receive(PATIENCE).expect(Kind.FATES, tick).sender == "emulator"
 
 
-def test_posted_messages_leave_together_before_a_wait_and_before_what_is_sent_later(
-    unix_hub: ZenohHub, run: str
-) -> None:
-    with connect(run, "worker-1", unix_hub.endpoints) as worker:
-        for tick in range(4):
-            worker.post(HUB, Kind.ROWS, tick, b"row" * tick)
-        with pytest.raises(TransportTimeout):
-            unix_hub.receive(0.01)
-        assert worker.posted
-        worker.send(HUB, Kind.DONE, 4)
-        assert not worker.posted
-        came = [unix_hub.receive(PATIENCE) for _ in range(5)]
-        assert [(e.kind, e.tick, bytes(e.body)) for e in came[:4]] == [(Kind.ROWS, i, b"row" * i) for i in range(4)]
-        assert came[4].kind is Kind.DONE
-        worker.post(HUB, Kind.READY, 5)
-        with pytest.raises(TransportTimeout):
-            worker.receive(0)
-        assert unix_hub.receive(PATIENCE).kind is Kind.READY
-
-
 def test_two_thousand_messages_arrive_in_order_and_whole(hub: ZenohHub, run: str) -> None:
     with peer(run, "worker-1", hub.endpoints[0], "pour") as worker:
         for number in range(2000):
