@@ -158,7 +158,7 @@ def serve(
 
 def _carry_out(endpoint: Endpoint, served: Machine, hold_back: float) -> None:
     """Take all that has come, act on it, until the end; rows and fates go out after at most `hold_back` seconds."""
-    flushed, most = time.monotonic(), _MOST_TICKS
+    flushed, per_tick = time.monotonic(), _TOGETHER_SECONDS / _MOST_TICKS
     while not served.finished:
         envelope = _next(endpoint, 0 if served.busy else hold_back if served.holds_back else _IDLE_SECONDS)
         idle = envelope is None
@@ -167,9 +167,9 @@ def _carry_out(endpoint: Endpoint, served: Machine, hold_back: float) -> None:
             envelope = _next(endpoint, 0)
         if served.busy:
             tick, began = served.tick, time.monotonic()
-            messages = served.act(most)
-            per_tick = (time.monotonic() - began) / max(1, served.tick - tick)
-            most = max(1, min(_MOST_TICKS, int(_TOGETHER_SECONDS / per_tick)))
+            messages = served.act(max(1, min(_MOST_TICKS, int(_TOGETHER_SECONDS / per_tick))))
+            took = (time.monotonic() - began) / max(1, served.tick - tick)
+            per_tick = min(took, 2 * per_tick)  # so that a single delay, as of a busy host, does not count for much
             send(endpoint, messages)
         now = time.monotonic()
         if now - flushed >= hold_back or (idle and not served.busy):
