@@ -11,7 +11,7 @@ what they exchange, but compute, record and number nothing, and all messages of 
 their users would have to do themselves. netcosim's agents are Python components that do nothing else than send; `one
 process` is the same scenario without `--distributed`: what the agents themselves cost.
 
-Start and warm-up are left out; netcosim's are the difference between a short run and a long one. Contestants take
+Start and warm-up are left out; of netcosim only the start, and the closing of the run folder counts. Contestants take
 turns, and ratios are medians of ratios within a turn. A contestant that fails or exceeds the deadline is stopped with
 all its processes and left out for that shape, with a sentence. Run it from the repository's root, on Linux.
 """
@@ -21,7 +21,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shutil
 import signal
 import statistics
 import subprocess
@@ -150,30 +149,22 @@ def has_ended(pid: int, seconds: float) -> bool:
 
 
 def netcosim(shape: Shape, setting: str, deadline: float) -> float:
-    """Steps per second of `cosim run`: those that a long run has more than a short one.
+    """Steps per second of `cosim run`, from tick 0 to the closing of the run folder.
 
     Raises:
-        FailedError: a run failed, or the two runs' difference says nothing.
+        FailedError: the run failed.
     """
     with tempfile.TemporaryDirectory(prefix="netcosim-benchmark-") as name:
         folder = Path(name)
         config = folder / "talkers.yaml"
         config.write_text(json.dumps(scenario(shape)))
         flags = [*NETCOSIM[setting], f"{shape.workers}"] if NETCOSIM[setting] else []
-        walls = []
-        for steps in (shape.warm_up, shape.total):
-            out = folder / f"{steps}"
-            until = f"--until={steps * PERIOD_MS} ms"
-            command = ["run", str(config), "--out", str(out), until, "--no-report", *flags]
-            run([sys.executable, "-m", "cosim", *command], deadline)
-            manifest = json.loads((out / "manifest.json").read_text())
-            if manifest["status"] != "complete" or manifest["ticks"]["done"] != steps:
-                raise FailedError(f"the run folder says {manifest['status']!r} after {manifest['ticks']['done']} ticks")
-            walls.append(manifest["wall_s"])
-            shutil.rmtree(out)
-    if walls[1] <= walls[0]:
-        raise FailedError(f"{shape.total} steps took no longer than {shape.warm_up}: measure more steps")
-    return cast(float, shape.steps / (walls[1] - walls[0]))
+        out = folder / "out"
+        run([sys.executable, "-m", "cosim", "run", str(config), "--out", str(out), "--no-report", *flags], deadline)
+        manifest = json.loads((out / "manifest.json").read_text())
+    if manifest["status"] != "complete" or manifest["ticks"]["done"] != shape.total:
+        raise FailedError(f"the run folder says {manifest['status']!r} after {manifest['ticks']['done']} ticks")
+    return cast(float, shape.total / (manifest["wall_s"] - manifest["start_s"]))
 
 
 def scenario(shape: Shape) -> dict[str, Any]:

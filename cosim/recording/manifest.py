@@ -47,7 +47,7 @@ class Status(StrEnum):
 def begin(plan: Plan, columns: Columns, details: Mapping[str, Any]) -> dict[str, Any]:
     """The manifest of a run before its first tick."""
     created = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
-    empty = dict.fromkeys(("status", "digest", "ticks", "simulated_s", "wall_s", "speed"))
+    empty = dict.fromkeys(("status", "digest", "ticks", "simulated_s", "wall_s", "start_s", "speed"))
     manifest = {
         "name": plan.name,
         "title": plan.title,
@@ -62,8 +62,13 @@ def begin(plan: Plan, columns: Columns, details: Mapping[str, Any]) -> dict[str,
     return with_outcome(manifest, Status.RUNNING, 0)
 
 
-def with_outcome(
-    manifest: Mapping[str, Any], status: str, n_ticks: int, wall: float | None = None, digest: str | None = None
+def with_outcome(  # noqa: PLR0917
+    manifest: Mapping[str, Any],
+    status: str,
+    n_ticks: int,
+    wall: float | None = None,
+    start: float | None = None,
+    digest: str | None = None,
 ) -> dict[str, Any]:
     """What became of a run.
 
@@ -72,6 +77,7 @@ def with_outcome(
         status: see `Status`.
         n_ticks: that are recorded, tick 0 among them.
         wall: seconds that it took, if that is known.
+        start: those of them until tick 0 was recorded.
         digest: of what is recorded.
     """
     done = max(0, n_ticks - 1)
@@ -83,6 +89,7 @@ def with_outcome(
         "ticks": {"planned": manifest["ticks"]["planned"], "done": done},
         "simulated_s": simulated,
         "wall_s": None if wall is None else round(wall, 6),
+        "start_s": None if start is None else round(start, 6),
         "speed": round(simulated / wall, 3) if wall else None,
     }
 

@@ -80,6 +80,7 @@ class Recorder:
         self._details = dict(details or {})
         self._manifest: dict[str, Any] = {}
         self._started = 0.0
+        self._start: float | None = None  # seconds until tick 0
 
         ticks_at_once = max(1, block_bytes // (8 * max(1, self._layout.width)))
         # One more than there are: the last tick, which may have a deadline, is not held up by writing.
@@ -131,6 +132,8 @@ class Recorder:
             raise self._failure
         if tick != self._tables.ticks + self._kept:
             raise ValueError(f"tick {tick} was recorded after tick {self._tables.ticks + self._kept - 1}")
+        if self._start is None:
+            self._start = time.perf_counter() - self._started
         kept = self._block[self._kept]
         kept[:] = row
         self._kept += 1
@@ -306,5 +309,6 @@ class Recorder:
             raise RecordingError(f"cannot write {self.folder / EXTERNAL}: {error.strerror or error}") from error
 
     def _write_manifest(self, status: str, wall: float | None = None, digest: str | None = None) -> None:
-        outcome = manifest.with_outcome(self._manifest, status, self._tables.ticks if digest else 0, wall, digest)
+        n_ticks = self._tables.ticks if digest else 0
+        outcome = manifest.with_outcome(self._manifest, status, n_ticks, wall, self._start, digest)
         write_atomically(self.folder / MANIFEST, manifest.to_json(outcome))

@@ -61,7 +61,7 @@ def assert_same(recovered: Path, stopped: Path, digest: str) -> None:
     for name in ("trajectories", "deliveries"):
         assert pq.read_table(recovered / f"{name}.parquet").equals(pq.read_table(stopped / f"{name}.parquet"))
     ended, manifest = (json.loads((folder / "manifest.json").read_text()) for folder in (stopped, recovered))
-    for key in ended.keys() - {"status", "wall_s", "speed", "created"}:
+    for key in ended.keys() - {"status", "wall_s", "start_s", "speed", "created"}:
         assert manifest[key] == ended[key]
     assert list(manifest) == list(ended)
     reached = f"; recorded until t = {ended['simulated_s']:.9g} s" if results.n_ticks else " before the first tick"
