@@ -216,9 +216,9 @@ def test_fault_on_the_command_line(tmp_path: Path) -> None:
     assert_nothing_left(tmp_path)
 
 
-@pytest.mark.parametrize("others", [{}, {3: ("Hanging", 0.15)}], ids=["waiting", "one hangs"])
+@pytest.mark.parametrize("others", [{}, {3: ("Hanging", 0.05)}], ids=["waiting", "one hangs"])
 def test_orchestrator_that_is_killed_takes_all_with_it(others: dict[int, tuple[str, float]], tmp_path: Path) -> None:
-    text = scenario(3, ring(3), "late", ticks=50, faults={1: ("OrphanMaker", 0.35), **others})
+    text = scenario(3, ring(3), "late", ticks=50, faults={1: ("OrphanMaker", 0.25), **others})
     (tmp_path / "net.yaml").write_text(text)
     done = cosim(tmp_path, "net.yaml", "--distributed", "--out", "out", "--workers", "3")
     assert done.returncode == -signal.SIGKILL
