@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import accumulate, pairwise
 from typing import Protocol
 
 from cosim.agents import Agents
@@ -31,6 +32,36 @@ class Observer(Protocol):
 
     def fates(self, fates: Fates) -> None:
         """Messages whose fate became known in a tick."""
+
+
+class CourseObserver(Observer, Protocol):
+    """An observer that can be told of several ticks at once."""
+
+    def course(self, first: int, rows: Floats, fates: Fates, counts: Sequence[int]) -> None:
+        """What `tick` of each row and `fates` of its period would tell, one after the other.
+
+        Args:
+            first: the tick of the first row.
+            rows: (n_ticks, width).
+            fates: of all those ticks.
+            counts: of each tick, how many of `fates` are its.
+        """
+
+
+def tell(
+    observers: Sequence[Observer | CourseObserver], first: int, rows: Floats, fates: Fates, counts: Sequence[int]
+) -> None:
+    """Tell observers of several ticks; see `CourseObserver.course`."""
+    one_by_one = [observer for observer in observers if not hasattr(observer, "course")]
+    for observer in observers:
+        if hasattr(observer, "course"):
+            observer.course(first, rows, fates, counts)
+    if one_by_one:
+        ends = accumulate(counts, initial=0)
+        for tick, (row, (begin, end)) in enumerate(zip(rows, pairwise(ends), strict=True), first):
+            for observer in one_by_one:
+                observer.tick(tick, row)
+                observer.fates(fates.between(begin, end))
 
 
 class Interrupted(Exception):  # noqa: N818 - it is a request, not an error

@@ -11,7 +11,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import accumulate, chain, pairwise
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -127,14 +127,13 @@ def encode_fates(counts: Sequence[int], pieces: Sequence[Fates]) -> list[Part]:
         counts: of each tick, how many became known in it.
         pieces: of any number of ticks each.
     """
-    rows = [(f.sender, f.receiver, f.stamp, f.sent, f.arrival_ns, f.fate) for f in pieces]
-    columns = [_joined(column, "<i8") for column in zip(*rows, strict=True)]
+    columns = [_joined(column, "<i8") for column in zip(*(piece.columns for piece in pieces), strict=True)]
     head = np.array([len(counts), *counts], "<i8")
     return [head.data, *chain.from_iterable(columns)]
 
 
-def decode_fates(n_agents: int, envelope: Envelope) -> list[Fates]:
-    """Per tick: the fates that became known in it."""
+def decode_fates(n_agents: int, envelope: Envelope) -> tuple[list[int], Fates]:
+    """Of each tick, how many fates became known in it; and all of them."""
     reader = _Reader(envelope)
     counts, n = reader.counts(reader.count())
     sender, receiver, stamp, sent, arrival = (reader.ints(n) for _ in range(5))
@@ -146,10 +145,7 @@ def decode_fates(n_agents: int, envelope: Envelope) -> list[Fates]:
     reader.check((fate >= 0) & (fate < len(Fate)), "has an unknown fate")
     reader.check((arrival == NEVER) == (fate == Fate.LOST), "is lost and arrives, or neither")
     reader.check(arrival >= NEVER, "arrives before the run")
-    return [
-        Fates(sender[i:j], receiver[i:j], stamp[i:j], sent[i:j], arrival[i:j], fate[i:j])
-        for i, j in pairwise(accumulate(counts.tolist(), initial=0))
-    ]
+    return counts.tolist(), Fates(sender, receiver, stamp, sent, arrival, fate)
 
 
 # --- values from outside ---------------------------------------------------------------------------------------

@@ -93,6 +93,22 @@ class Fates:
     def __len__(self) -> int:
         return len(self.sender)
 
+    @property
+    def columns(self) -> tuple[Ints, ...]:
+        """All of them, in the order of the attributes."""
+        return self.sender, self.receiver, self.stamp, self.sent, self.arrival_ns, self.fate
+
+    def between(self, begin: int, end: int) -> Fates:
+        """Some that follow each other; no copy."""
+        return Fates(*(column[begin:end] for column in self.columns))
+
+    @classmethod
+    def joined(cls, pieces: Sequence[Fates]) -> Fates:
+        """One after the other; one piece at least."""
+        if len(pieces) == 1:
+            return pieces[0]
+        return cls(*map(np.concatenate, zip(*(piece.columns for piece in pieces), strict=True)))
+
 
 @dataclass(frozen=True)
 class Deliveries:

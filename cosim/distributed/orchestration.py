@@ -6,7 +6,6 @@ in-process run tells them, in the same order, so that the digest is the same.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -14,16 +13,17 @@ import numpy as np
 
 from cosim.distributed.assignment import EMULATOR, Job, Message, Share, batch_ticks, blocks, renamed, window_ticks
 from cosim.distributed.failure import Failure
+from cosim.distributed.incoming import FateLog, Rows
 from cosim.distributed.replacement import History, Moment
 from cosim.distributed.standing import Standing, carried
 from cosim.distributed.survey import Lost, Survey
 from cosim.errors import ClusterError, CosimError
-from cosim.inline import Observer, Take
+from cosim.inline import Observer, Take, tell
 from cosim.master import Finish, Master
 from cosim.plan import Plan
 from network import codec
 from network.codec import Block, encode_object
-from network.messages import Exchange, Fates, Floats, Ints, Mail
+from network.messages import Exchange, Floats, Ints, Mail
 from network.transport import Envelope, Kind, WireError
 
 # Samples and mail go from the workers to the emulator and back, without passing through here.
@@ -51,7 +51,7 @@ class _Carrier:
     agents: Share
     block: Block
     history: History
-    rows: deque[Floats] = field(default_factory=deque)
+    rows: Rows = field(default_factory=Rows)
     rows_in: int = 0
     said: int = 0
     tick: int = 0
@@ -102,7 +102,7 @@ class Orchestration:
         self._replaced: set[str] = set()
         self._caught_up: list[tuple[str, int]] = []
         self._survey = Survey()
-        self._fates: deque[Fates] = deque()
+        self._fates = FateLog()
         self._fates_in = 0
         self._exchanged = 0
         self._paced = paced
@@ -229,9 +229,9 @@ class Orchestration:
         if envelope.sender != EMULATOR:
             raise WireError(envelope.sender, "it is no emulator, but sent fates")
         envelope.expect(Kind.FATES, self._fates_in)
-        fates = codec.decode_fates(len(self._plan.agents), envelope)
-        self._fates.extend(fates)
-        self._fates_in += len(fates)
+        counts, fates = codec.decode_fates(len(self._plan.agents), envelope)
+        self._fates.extend(counts, fates)
+        self._fates_in += len(counts)
         self._exchanged = max(self._exchanged, min(self._fates_in, self._plan.ticks))
 
     def _take_position(self, envelope: Envelope) -> None:
@@ -260,10 +260,12 @@ class Orchestration:
             if not self._rows_done:
                 if not all(carrier.rows for carrier in self._carriers.values()):
                     return
+                if self._record_course():
+                    continue
                 self._record_rows()
             if not self._fates:
                 return
-            fates = self._fates.popleft()
+            _, fates = self._fates.take(1)
             for observer in self._observers:
                 observer.fates(fates)
             if self._over:
@@ -272,12 +274,33 @@ class Orchestration:
                 self._master.exchanged(Exchange(self._master.tick, _NO_MAIL, fates))
                 self._rows_done = False
 
+    def _record_course(self) -> bool:
+        """Tell them of all ticks of which rows and fates are there, if there are several before the last."""
+        if self._plan.bridge.subscribe:  # values are taken at every tick
+            return False
+        first = self._master.tick
+        there = min(len(self._fates), *(len(carrier.rows) for carrier in self._carriers.values()))
+        n_ticks = min(there, self._plan.ticks - first)
+        if n_ticks < 2:
+            return False
+        rows = self._rows(n_ticks)
+        counts, fates = self._fates.take(n_ticks)
+        for tick in range(first, first + n_ticks):
+            self._master.published(0, tick, _NO_SAMPLES)
+            self._master.exchanged(Exchange(tick, _NO_MAIL, fates))
+        tell(self._observers, first, rows, fates, counts)
+        self.recorded = first + n_ticks - 1
+        return True
+
+    def _rows(self, n_ticks: int) -> Floats:
+        """(n_ticks, width) the next rows of all agents, in the order of the file."""
+        rows = np.concatenate([carrier.rows.take(n_ticks) for carrier in self._carriers.values()], axis=1)
+        return rows if self._order is None else rows[:, self._order]
+
     def _record_rows(self) -> None:
         tick = self._master.tick
         self._over = isinstance(self._master.published(0, tick, _NO_SAMPLES), Finish)
-        row = np.concatenate([carrier.rows.popleft() for carrier in self._carriers.values()])
-        if self._order is not None:
-            row = row[self._order]
+        (row,) = self._rows(1)
         for observer in self._observers:
             observer.tick(tick, row)
         self.recorded = tick

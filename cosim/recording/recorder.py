@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -128,22 +129,8 @@ class Recorder:
         Raises:
             RecordingError: the disk is full.
         """
-        if self._failure is not None:
-            raise self._failure
-        if tick != self._tables.ticks + self._kept:
-            raise ValueError(f"tick {tick} was recorded after tick {self._tables.ticks + self._kept - 1}")
-        if self._start is None:
-            self._start = time.perf_counter() - self._started
-        kept = self._block[self._kept]
-        kept[:] = row
-        self._kept += 1
-        try:
-            self._spool.record(kept, self._waiting)
-        except OSError as error:
-            self._after(error)
-        self._waiting.clear()
-        if self._kept == len(self._block):
-            self._flush()
+        self._check(tick)
+        self._take_rows(row[None])
 
     def fates(self, fates: Fates) -> None:
         """Record fates, in their order.
@@ -153,15 +140,63 @@ class Recorder:
         """
         if self._failure is not None:
             raise self._failure
-        if not len(fates):
-            return
-        columns = (fates.sender, fates.receiver, fates.stamp, fates.sent, fates.arrival_ns, fates.fate)
-        table = np.concatenate(columns).reshape(6, -1)
-        self._fates.append(table)
-        self._waiting.append(table)
-        self._n_fates += len(fates)
+        self._take_fates(_table(fates, 0, len(fates)))
+
+    def course(self, first: int, rows: Floats, fates: Fates, counts: Sequence[int]) -> None:
+        """Record ticks that follow each other, each with the fates of the period that it begins.
+
+        Args:
+            first: number of the first one.
+            rows: (n_ticks, width) see `tick`. They are copied.
+            fates: of all of them, one after the other.
+            counts: of each tick, how many those are.
+
+        Raises:
+            RecordingError: the disk is full.
+        """
+        self._check(first)
+        ends, begin = [0, *accumulate(counts)], 0
+        while begin < len(rows):
+            stop = min(len(rows), begin + len(self._block) - self._kept)
+            before = _table(fates, ends[begin], ends[stop - 1])
+            self._take_rows(rows[begin:stop], before)
+            self._take_fates(_table(fates, ends[stop - 1], ends[stop]))
+            begin = stop
+
+    def _check(self, tick: int) -> None:
+        """It must be this tick's turn."""
+        if self._failure is not None:
+            raise self._failure
+        if tick != self._tables.ticks + self._kept:
+            raise ValueError(f"tick {tick} was recorded after tick {self._tables.ticks + self._kept - 1}")
+        if self._start is None:
+            self._start = time.perf_counter() - self._started
+
+    def _take_rows(self, rows: Floats, before: Ints | None = None) -> None:
+        """As many as there is room for in the block, and (6, n) the fates before the last of them."""
+        if before is not None and before.size:
+            self._keep(before)
+        kept = self._block[self._kept : self._kept + len(rows)]
+        kept[:] = rows
+        self._kept += len(rows)
+        try:
+            self._spool.record(kept, self._waiting)
+        except OSError as error:
+            self._after(error)
+        self._waiting.clear()
+        if self._kept == len(self._block):
+            self._flush()
+
+    def _take_fates(self, table: Ints) -> None:
+        if table.size:
+            self._keep(table)
         if self._n_fates >= FATES_AT_ONCE:
             self._flush()
+
+    def _keep(self, table: Ints) -> None:
+        self._fates.append(table)
+        self._waiting.append(table)
+        self._n_fates += table.shape[1]
 
     def external(self, tick: int, taken: Mapping[int, Floats]) -> None:
         """Record what was taken from outside at a tick, before it is used.
@@ -312,3 +347,8 @@ class Recorder:
         n_ticks = self._tables.ticks if digest else 0
         outcome = manifest.with_outcome(self._manifest, status, n_ticks, wall, self._start, digest)
         write_atomically(self.folder / MANIFEST, manifest.to_json(outcome))
+
+
+def _table(fates: Fates, begin: int, end: int) -> Ints:
+    """(6, n) some of the fates."""
+    return np.concatenate([column[begin:end] for column in fates.columns]).reshape(6, -1)

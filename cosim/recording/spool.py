@@ -2,8 +2,8 @@
 
 Two hidden files lie beside the tables of a run that goes on:
 
-- `.spool` has a record for every tick since the last row group, handed to the kernel as soon as the tick is known: its
-  row, and the fates that came before it. Those that come after it belong to a period that is not complete;
+- `.spool` has the ticks since the last row group, handed to the kernel as soon as they are known: a record has the rows
+  of one or several, and the fates before the last of them. Later ones belong to a period that is not complete;
 - `.groups` has the layout, the metadata of every row group, and where each table stood after it.
 
 A row group counts once `.groups` says so; `.spool` then begins anew, with another seed for its records (see `frames`),
@@ -20,17 +20,18 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.recording.frames import OVERHEAD, frame, frames, write
+from cosim.recording.frames import frame, frames, write
 from cosim.recording.manifest import GROUPS, SPOOL
 from cosim.recording.table import FULL, Finished, allocate
 from cosim.recording.tables import FATE_BYTES, Layout, RunTables
 from network.messages import Floats, Ints
 
-_FORMAT = 1
+_FORMAT = 2
 _SLACK_BYTES = 1 << 16
+_HEAD_BYTES = 8  # how many ticks
 
 
-_LAYOUT, _TICK, _GROUP, _STAND = range(1, 5)
+_LAYOUT, _TICKS, _GROUP, _STAND = range(1, 5)
 
 
 class Spool:
@@ -59,9 +60,8 @@ class Spool:
         self._end = 0
         self._allocated = 0
         self._least = tables.room(0, 0) + _SLACK_BYTES
-        per_tick = (tables.room(1000, 0) - tables.room(0, 0)) / 1000 / (8 * layout.width + OVERHEAD)
+        per_tick = (tables.room(1000, 0) - tables.room(0, 0)) / 1000 / max(8, 8 * layout.width)
         self._per_byte = max(1.0, per_tick, (tables.room(0, 1000) - tables.room(0, 0)) / 1000 / FATE_BYTES)
-        self._row_bytes = 8 * layout.width
         try:
             head = layout.encode()
             write(self._groups.fileno(), frame(_LAYOUT, _FORMAT, len(head), head))
@@ -71,19 +71,20 @@ class Spool:
             raise
 
     def record(self, values: Floats, fates: Sequence[Ints]) -> None:
-        """Hand a tick to the kernel.
+        """Hand ticks to the kernel.
 
         Args:
-            values: (width,) as they arrived.
-            fates: (6, n) each; since the tick before.
+            values: (n_ticks, width) as they arrived; contiguous.
+            fates: (6, n) each; since the last tick that was recorded, and before the last of these.
 
         Raises:
             OSError: the disk is full.
         """
         if len(fates) > 1:
             fates = (stacked(fates),)
-        size = self._row_bytes + sum(table.nbytes for table in fates)
-        record = frame(_TICK, self._seed, size, *fates, values)
+        head = len(values).to_bytes(_HEAD_BYTES, "little")
+        size = _HEAD_BYTES + values.nbytes + sum(table.nbytes for table in fates)
+        record = frame(_TICKS, self._seed, size, head, *fates, values)
         end = self._end + len(record)
         if end > self._limit:
             self._grow(end)
@@ -193,10 +194,14 @@ def read(folder: Path) -> Left:
     row_bytes = 8 * layout.width
     rows: list[memoryview] = []
     fates: list[Ints] = []
+    n_ticks = 0
     for _, content in frames(memoryview((folder / SPOOL).read_bytes()), seed):
-        fates.append(np.frombuffer(content[: len(content) - row_bytes], dtype="<i8").reshape(6, -1))
-        rows.append(content[len(content) - row_bytes :])
-    values = np.frombuffer(b"".join(rows), dtype="<f8").reshape(len(rows), layout.width)
+        n = int.from_bytes(content[:_HEAD_BYTES], "little")
+        fates_end = len(content) - n * row_bytes
+        fates.append(np.frombuffer(content[_HEAD_BYTES:fates_end], dtype="<i8").reshape(6, -1))
+        rows.append(content[fates_end:])
+        n_ticks += n
+    values = np.frombuffer(b"".join(rows), dtype="<f8").reshape(n_ticks, layout.width)
     return Left(layout, finished, values, stacked(fates))
 
 

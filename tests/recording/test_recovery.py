@@ -102,6 +102,51 @@ def test_killed_after_any_record(record: Any, block_bytes: int, seed: int, n_cal
 
 
 @settings(max_examples=25, deadline=None)
+@given(
+    record=st.sampled_from([VARIABLES, DIFFERENT]),
+    block_bytes=st.sampled_from([300, 1000, 1 << 20]),
+    seed=st.integers(0, 99),
+    sizes=st.lists(st.integers(1, 30), max_size=8),
+)
+def test_several_ticks_at_once_are_what_they_are_one_by_one(
+    record: Any, block_bytes: int, seed: int, sizes: list[int]
+) -> None:
+    plan = make_plan(3, 40, record=record)
+    told = list(calls(plan, seed))
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        at_once = Recorder(plan, folder / "at_once", block_bytes=block_bytes)
+        one_by_one = Recorder(plan, folder / "one_by_one")
+        for recorder in (at_once, one_by_one):
+            recorder.open()
+        tick = 0
+        for size in sizes:
+            pieces = told[2 * tick : 2 * (tick + size)]
+            rows = [call[1] for call in pieces if isinstance(call, tuple)]
+            fates = [call for call in pieces if isinstance(call, Fates)]
+            if not rows:
+                break
+            at_once.course(tick, np.array(rows), Fates.joined(fates), [*map(len, fates)])
+            tick += len(rows)
+        for call in told[: max(0, 2 * tick - 1)]:  # the fates after the last tick are of a period that is not over
+            tell(one_by_one, call)
+        killed(folder / "at_once", folder / "killed")
+        if tick:
+            tell(one_by_one, told[2 * tick - 1])
+        digest = one_by_one.close("aborted: by the test")
+        assert at_once.close("aborted: by the test") == digest
+        for which in ("trajectories", "deliveries"):
+            one, other = (pq.read_table(folder / run / f"{which}.parquet") for run in ("at_once", "one_by_one"))
+            assert one.equals(other)
+        recovered = load(folder / "killed")
+        assert recovered.n_ticks == max(0, tick)
+        n_fates = sum(len(call) for call in told[: max(0, 2 * tick - 1)] if isinstance(call, Fates))
+        rows_there = pq.read_table(folder / "killed" / "deliveries.parquet").num_rows
+        in_group = sum(len(call) for call in told[: 2 * tick] if isinstance(call, Fates))
+        assert rows_there in (n_fates, in_group)  # a row group may have taken the last ones as well
+
+
+@settings(max_examples=25, deadline=None)
 @given(data=st.data())
 def test_spool_that_ends_at_any_byte(data: st.DataObject) -> None:
     """As many whole records as were handed over, whether the rest is missing, zero or of an earlier round."""
