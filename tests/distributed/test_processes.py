@@ -232,15 +232,16 @@ def test_orchestrator_that_is_killed_from_outside_leaves_all_it_had(tick: int, t
     text = scenario(4, ring(4), "slack", ticks=20_000)
     (tmp_path / "net.yaml").write_text(text)
     run = f"""
-import os, signal, sys
+import os, pathlib, signal, sys
 from cosim import cli
 from cosim.recording.recorder import Recorder
-record = Recorder.tick
-def kill(self, tick, row):
-    record(self, tick, row)
-    if tick == {tick}:
+record = Recorder._take_rows
+def kill(self, rows, *before):
+    record(self, rows, *before)
+    if self._kept > {tick}:
+        pathlib.Path("kept").write_text(str(self._kept))
         os.kill(os.getpid(), signal.SIGKILL)
-Recorder.tick = kill
+Recorder._take_rows = kill
 cli.main(["run", "net.yaml", "--distributed", "--workers", "2", "--out", "out", "--no-report", "--quiet"])
 """
     done = subprocess.run(
@@ -254,7 +255,7 @@ cli.main(["run", "net.yaml", "--distributed", "--workers", "2", "--out", "out", 
     )
     assert done.returncode == -signal.SIGKILL, done.stderr
     assert_nothing_left(tmp_path)
-    assert pq.read_table(tmp_path / "out" / "trajectories.parquet").num_rows == 4 * (tick + 1)
+    assert pq.read_table(tmp_path / "out" / "trajectories.parquet").num_rows == 4 * int((tmp_path / "kept").read_text())
     assert_begins_on_disk(tmp_path / "out", text, done.stderr)
 
 
