@@ -11,12 +11,23 @@ from fmus import build
 from tests.fmus.driver import Driver
 
 
+class Built(dict[str, Path]):
+    """FMU files by name, such as `TwoLinkArm.fmi2`: those of a model are built when the first is asked for."""
+
+    def __init__(self, destination: Path) -> None:
+        super().__init__()
+        self._destination = destination
+
+    def __missing__(self, name: str) -> Path:
+        folder = build.ROOT / name.rpartition(".")[0]
+        self.update({path.stem: path for path in build.build_model(folder, self._destination)})
+        return self[name]
+
+
 @pytest.fixture(scope="session")
-def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """All FMU files by name, such as `TwoLinkArm.fmi2`."""
-    destination = tmp_path_factory.mktemp("built")
-    paths = [path for folder in build.model_folders() for path in build.build_model(folder, destination)]
-    return {path.stem: path for path in paths}
+def built(tmp_path_factory: pytest.TempPathFactory) -> Built:
+    """All FMU files, built from the sources as they are."""
+    return Built(tmp_path_factory.mktemp("built"))
 
 
 @pytest.fixture
