@@ -126,8 +126,10 @@ class Emulator:
         Raises:
             EmulatorError: not the tick's turn, or samples that it needs are missing.
         """
-        stretch = self.exchange_several(tick, tick + 1)
-        return Exchange(tick, stretch.mail[0], stretch.fates)
+        begin, end = self._advance(tick, tick + 1)
+        n = self._router.group_sizes[0]
+        mail = self._mail(self._block.mail_ends[0][begin * n : end * n + 1])
+        return Exchange(tick, mail, self._fates(*self._block.fate_ends[begin : end + 1]))
 
     def exchange_several(self, tick: int, stop: int) -> Stretch:
         """The same for the ticks from `tick` to before `stop`, or fewer of them: at least one.
@@ -135,24 +137,27 @@ class Emulator:
         Raises:
             EmulatorError: not the tick's turn, or samples that it needs are missing.
         """
+        begin, end = self._advance(tick, stop)
+        block, sizes = self._block, self._router.group_sizes
+        mail = [self._mail(ends[begin * n : end * n + 1]) for ends, n in zip(block.mail_ends, sizes, strict=True)]
+        ends = block.fate_ends[begin : end + 1]
+        counts = [after - before for before, after in pairwise(ends)]
+        return Stretch(tick, mail, self._fates(ends[0], ends[-1]), counts)
+
+    def _advance(self, tick: int, stop: int) -> tuple[int, int]:
+        """Count the ticks from `tick` to `stop`, or to the end of the block; the rows of the block that they are."""
         if tick != self._tick or self._finished:
             raise EmulatorError(f"tick {tick} was emulated out of turn: {self._expects(self._tick)}")
         if tick == self._block.stop:
             self._next_block()
-        block = self._block
-        stop = min(stop, block.stop)
+        stop = min(stop, self._block.stop)
         if self._samples.next < stop - self.slack:
             missing = self._samples.next
             raise EmulatorError(
                 f"tick {missing + self.slack} needs the samples of tick {missing}, which are not in yet"
             )
         self._tick = stop
-        begin, end = tick - block.first, stop - block.first
-        sizes = self._router.group_sizes
-        mail = [self._mail(ends[begin * n : end * n + 1]) for ends, n in zip(block.mail_ends, sizes, strict=True)]
-        ends = block.fate_ends[begin : end + 1]
-        counts = [after - before for before, after in pairwise(ends)]
-        return Stretch(tick, mail, self._fates(ends[0], ends[-1]), counts)
+        return tick - self._block.first, stop - self._block.first
 
     def finish(self) -> Fates:
         """The messages that are in flight when the run ends. Nothing can be emulated afterwards."""

@@ -3,7 +3,7 @@
     python udp_probe.py receive ADDRESS
     python udp_probe.py send ADDRESS N INTERVAL_MS BYTES
 
-`receive` says `ready`, and once nothing has come for a second, writes [[number, sent, arrived], …] in nanoseconds.
+`receive` says `ready`, and once nothing has come for two seconds, writes [[number, sent, arrived], …] in nanoseconds.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import sys
 import time
 
 PORT = 9
-_FIRST_WITHIN, _QUIET = 30.0, 1.0  # seconds
+_FIRST_WITHIN, _QUIET = 30.0, 2.0  # seconds
 _TIMESTAMP_NS, _RECEIVE_BUFFER_FORCE = 35, 33  # asm-generic/socket.h
 
 
@@ -41,11 +41,10 @@ def receive(address: str) -> list[list[int]]:
 def send(address: str, n: int, interval_ms: float, size: int) -> None:
     """One packet after the other at even times."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
-        sock.connect((address, PORT))
         begin = time.monotonic()
         for number in range(n):
             time.sleep(max(0.0, begin + number * interval_ms / 1e3 - time.monotonic()))
-            sock.send(struct.pack("qq", number, time.time_ns()).ljust(size, b"\0"))
+            sock.sendto(struct.pack("qq", number, time.time_ns()).ljust(size, b"\0"), (address, PORT))
 
 
 if __name__ == "__main__":
