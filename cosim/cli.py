@@ -204,6 +204,11 @@ def _parser() -> argparse.ArgumentParser:
     run = _command(commands, "run", _run, "run a scenario and draw its report")
     _add_scenario(run)
     _add_results(run)
+    run.add_argument(
+        "--estimate-error",
+        action="store_true",
+        help="play it with half the micro steps first, and say how large the error of the coupling is",
+    )
     across = run.add_argument_group("across processes, with the same results")
     across.add_argument("--distributed", action="store_true", help="run emulator and agents in processes of their own")
     across.add_argument(

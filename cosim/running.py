@@ -17,6 +17,7 @@ import numpy as np
 from cosim.bridge import Bridge, open_bridge, recorded
 from cosim.components.component import Floats
 from cosim.errors import ClusterError, ConfigError, CosimError, NetworkError, OverrunError, Problem, RunError
+from cosim.estimation import Estimate
 from cosim.inline import Interrupted, Observer, Take, run
 from cosim.logs import LOG_FOLDER, Logs
 from cosim.native_output import captured
@@ -83,6 +84,7 @@ def record(args: argparse.Namespace, plan: Plan, way: Way, *, here: bool = False
             restarts.append(restart)
             recorder.add({"distributed": {**details["distributed"], "restarts": restarts}})
 
+    estimate = Estimate(plan) if getattr(args, "estimate_error", False) else None
     play, details = way(args, plan, pacer, folder, tell)
     recorder = Recorder(plan, folder, details)
     summary = _Summary(plan, pacer)
@@ -93,15 +95,20 @@ def record(args: argparse.Namespace, plan: Plan, way: Way, *, here: bool = False
         open_bridge(plan, _warn) as bridge,
         Progress(plan, quiet=args.quiet, pacer=pacer) as progress,
     ):
+        if estimate is not None and not _prepared(estimate, stop, quiet=args.quiet):
+            return stop.exit_code
         recorder.open()
         if bridge is not None and not args.quiet:
             say(f"the bridge {bridge.where}")
         try:
             with _accounted(pacer, recorder):
+                observers: list[Observer] = [recorder, *([] if estimate is None else [estimate]), summary, progress]
                 if bridge is None:
-                    play([recorder, summary, progress], stop)
+                    play(observers, stop)
                 else:
-                    play([recorder, bridge, summary, progress], stop, take=recorded(bridge, recorder.external))
+                    play([recorder, bridge, *observers[1:]], stop, take=recorded(bridge, recorder.external))
+            if estimate is not None:
+                recorder.add({"coupling_error": estimate.account()})
         except Interrupted as interrupted:
             reached = f"t = {interrupted.tick * plan.period:.9g} s"
             recorder.close(f"aborted: interrupted at {reached}")
@@ -112,8 +119,22 @@ def record(args: argparse.Namespace, plan: Plan, way: Way, *, here: bool = False
             raise
     digest = recorder.close("complete")
     if not args.quiet:
-        summary.show(recorder.folder, digest, bridge)
+        summary.show(recorder.folder, digest, bridge, estimate)
+    for warning in estimate.warnings() if estimate is not None else ():
+        print(f"warning: {warning}", file=sys.stderr)
     return _draw(recorder.folder, quiet=args.quiet) if args.report else 0
+
+
+def _prepared(estimate: Estimate, stop: StopRequest, *, quiet: bool) -> bool:
+    """Play with half the steps, for the estimate; False where somebody asked to stop."""
+    if not quiet:
+        say("playing with half the micro steps, for the estimate of the error")
+    try:
+        estimate.prepare(stop)
+    except Interrupted as interrupted:
+        print(f"interrupted after tick {interrupted.tick} of the estimate; nothing is recorded", file=sys.stderr)
+        return False
+    return True
 
 
 Tell: TypeAlias = Callable[[str, Mapping[str, Any] | None], None]
@@ -227,7 +248,7 @@ class _Summary:
     def fates(self, fates: Fates) -> None:
         """Not needed."""
 
-    def show(self, folder: Path, digest: str, bridge: Bridge | None) -> None:
+    def show(self, folder: Path, digest: str, bridge: Bridge | None, estimate: Estimate | None) -> None:
         """Say what was done, where it is, and how far the agents are from agreeing."""
         wall = time.perf_counter() - self._started
         simulated = self._plan.ticks * self._plan.period
@@ -235,6 +256,9 @@ class _Summary:
         disagreement = Disagreement(self._plan).of(self._row)
         if disagreement is not None:
             print(f"  disagreement at the end  {disagreement:.3g} (largest |p_1 - p_i|)")
+        if estimate is not None:
+            worst = max(estimate.errors(), key=lambda error: error.relative, default=None)
+            print(f"  coupling error           {'nothing is recorded' if worst is None else f'about {worst}'}")
         for i, line in enumerate(bridge.account() if bridge is not None else ()):
             print(f"  {'' if i else 'bridge':<25}{line}")
         if self._pacer is not None:

@@ -26,6 +26,7 @@ def outcome(results: Results) -> Rows:
     return [
         ("Status", manifest["status"]),
         ("Seed", str(manifest["seed"])),
+        *_coupling_error(manifest),
         ("Simulated", f"{manifest['simulated_s']:g} s" + ("" if whole else f" of {_planned(results):g} s")),
         (
             "Ticks",
@@ -68,6 +69,16 @@ def agreement(results: Results) -> Rows:
 
 
 # --- the wall clock ---------------------------------------------------------------------------------------------------
+def _coupling_error(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The largest estimated error of an agent, if the run estimated it."""
+    errors = manifest.get("coupling_error")
+    if not errors:
+        return []
+    worst = max(errors, key=lambda error: error["relative"])
+    said = f"about {worst['error']:.2g} in {worst['variable']} of agent {worst['agent']}"
+    return [("Coupling error", f"{said}, {100 * worst['relative']:.2g} % of its range")]
+
+
 def realtime(results: Results) -> Rows:
     """How the schedule of a paced run was kept; empty for others."""
     account = results.realtime
