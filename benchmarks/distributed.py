@@ -7,9 +7,11 @@ Every contestant does the same exchange (`benchmarks.peers.exchange`): in every 
 others through a delaying component in a process of its own. Beside netcosim (`cosim run --distributed`) there are a
 barrier over Unix sockets, which is the least that such an exchange costs, HELICS (message federates through its broker)
 and mosaik (simulators as processes), each with several settings, of which the table shows the fastest. The peers check
-what they exchange, but compute, record and number nothing, and all messages of a process are packed into one, which
-their users would have to do themselves. netcosim's agents are Python components that do nothing else than send; `one
-process` is the same scenario without `--distributed`: what the agents themselves cost.
+what they exchange, but compute, record and number nothing, and all agents of a process are rows of one array whose
+messages are packed into one, which their users would have to do themselves. Each of netcosim's agents is an FMU of next
+to no computation (`benchmarks/averager`), or, in another column, a Python component that does nothing else than send;
+`one process` is the same scenario without `--distributed`. The delaying component holds what it gets for three steps, as
+all contestants know: netcosim lets so many steps travel together.
 
 Start and warm-up are left out; of netcosim only the start, and the closing of the run folder counts. Contestants take
 turns, and ratios are medians of ratios within a turn. A contestant that fails or exceeds the deadline is stopped with
@@ -30,9 +32,10 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
-from benchmarks.peers.exchange import AGE, SENDERS, Shape
+from benchmarks.peers.exchange import AGE, Shape
+from benchmarks.scaling import PERIOD_MS, build_averager, scenario
 
 ROOT = Path(__file__).resolve().parent.parent
 STEPS = {(2, 2): 2000, (10, 10): 800, (30, 30): 200, (100, 2): 1000, (1000, 2): 300}
@@ -51,8 +54,12 @@ PROGRAMS = {
 }
 """Contestants, their program in `benchmarks.peers`, and the settings that are tried."""
 CHOICES = [*(name.lower() for name in PROGRAMS), "netcosim"]
-NETCOSIM = {"one process": (), "distributed": ("--distributed", "--workers")}
-PERIOD_MS = 100
+NETCOSIM = {
+    "one process": ("averager", ()),
+    "distributed": ("averager", ("--distributed", "--workers")),
+    "Python agents, distributed": ("talker", ("--distributed", "--workers")),
+}
+"""Settings of netcosim: the agents' kind, and what makes it so."""
 PATIENCE = 5.0
 """Seconds from being asked to stop to being stopped."""
 
@@ -157,36 +164,17 @@ def netcosim(shape: Shape, setting: str, deadline: float) -> float:
     with tempfile.TemporaryDirectory(prefix="netcosim-benchmark-") as name:
         folder = Path(name)
         config = folder / "talkers.yaml"
-        config.write_text(json.dumps(scenario(shape)))
-        flags = [*NETCOSIM[setting], f"{shape.workers}"] if NETCOSIM[setting] else []
+        kind, flags = NETCOSIM[setting]
+        fmu = build_averager(folder)
+        config.write_text(scenario(kind, shape.agents, shape.total, fmu, AGE * PERIOD_MS))
+        if flags:
+            flags = (*flags, f"{shape.workers}")
         out = folder / "out"
         run([sys.executable, "-m", "cosim", "run", str(config), "--out", str(out), "--no-report", *flags], deadline)
         manifest = json.loads((out / "manifest.json").read_text())
     if manifest["status"] != "complete" or manifest["ticks"]["done"] != shape.total:
         raise FailedError(f"the run folder says {manifest['status']!r} after {manifest['ticks']['done']} ticks")
     return cast(float, shape.total / (manifest["wall_s"] - manifest["start_s"]))
-
-
-def scenario(shape: Shape) -> dict[str, Any]:
-    """The exchange as a scenario."""
-    names = [f"a{i}" for i in range(shape.agents)]
-    talker = {
-        "components": {"talker": {"python": "benchmarks.peers.talker:Talker"}},
-        "publish": {"samples": "talker.samples"},
-        "receive": {"samples": "talker.heard", "count": "talker.count"},
-        "record": [],
-    }
-    heard = {(i, (i - d) % shape.agents) for i in range(shape.agents) for d in SENDERS}
-    return {
-        "name": "talkers",
-        "period": f"{PERIOD_MS} ms",
-        "duration": f"{shape.total * PERIOD_MS} ms",
-        "templates": {"talker": talker},
-        "coupling": {"method": "jacobi", "step": f"{PERIOD_MS} ms"},
-        "agents": {name: {"template": "talker"} for name in names},
-        "graph": {"channel": "line", "edges": [f"{names[j]} -> {names[i]}" for i, j in sorted(heard) if i != j]},
-        "channels": {"line": {"model": "netem", "delay": f"{AGE * PERIOD_MS} ms"}},
-    }
 
 
 def contestants(peers: str, chosen: Sequence[str]) -> Iterable[Contestant]:

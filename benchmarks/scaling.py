@@ -82,9 +82,10 @@ def build_averager(folder: Path) -> Path:
     return build_model(HERE / "averager", folder)[1]
 
 
-def scenario(kind: str, n_agents: int, ticks: int, fmu: Path) -> str:
+def scenario(kind: str, n_agents: int, ticks: int, fmu: Path, delay_ms: int = DELAY_MS) -> str:
     """The network as YAML (which JSON is)."""
     joint = kind == "arm"
+    heard = {(i, (i - d) % n_agents) for i in range(n_agents) for d in (1, 2)}
     tree = {
         "name": kind,
         "period": f"{PERIOD_MS} ms",
@@ -94,9 +95,9 @@ def scenario(kind: str, n_agents: int, ticks: int, fmu: Path) -> str:
         "agents": {f"1..{n_agents}": {"template": "one"}},
         "graph": {
             "channel": "line",
-            "edges": [f"{(i - d) % n_agents + 1} -> {i + 1}" for i in range(n_agents) for d in (1, 2)],
+            "edges": [f"{j + 1} -> {i + 1}" for i, j in sorted(heard) if i != j],
         },
-        "channels": {"line": {"model": "netem", "delay": f"{DELAY_MS} ms"}},
+        "channels": {"line": {"model": "netem", "delay": f"{delay_ms} ms"}},
     }
     return json.dumps(tree).replace('"@"', json.dumps(str(fmu)))
 
