@@ -10,8 +10,8 @@ and mosaik (simulators as processes), each with several settings, of which the t
 what they exchange, but compute, record and number nothing, and all agents of a process are rows of one array whose
 messages are packed into one, which their users would have to do themselves. Each of netcosim's agents is an FMU of next
 to no computation (`benchmarks/averager`), or, in another column, a Python component that does nothing else than send;
-`one process` is the same scenario without `--distributed`. The delaying component holds what it gets for three steps, as
-all contestants know: netcosim lets so many steps travel together.
+`one process` is the same scenario without `--distributed`. The delaying component holds what it gets for three steps,
+as all contestants know: netcosim lets so many steps travel together.
 
 Start and warm-up are left out; of netcosim only the start, and the closing of the run folder counts. Contestants take
 turns, and ratios are medians of ratios within a turn. A contestant that fails or exceeds the deadline is stopped with
