@@ -86,15 +86,16 @@ def _fit(args: argparse.Namespace) -> int:
     path = args.fit
     stop = StopRequest()
     with stop.listening():
-        fitted = fit.fit(measured.read(path, round_trip=args.round_trip), path)
-        _print_fit(path, fitted)
+        log = measured.read(path, round_trip=args.round_trip)
         folder = args.out or FOLDER / path.stem
         profile = folder / f"{path.stem}.yaml"
         try:
+            fitted = fit.fit(log, path, folder)
             folder.mkdir(parents=True, exist_ok=True)
             write_atomically(profile, _profile_text(path, fitted))
         except OSError as error:
             raise folder_problem(Path(error.filename or folder), f"cannot be written: {error.strerror}") from None
+        _print_fit(path, fitted)
         drawn = _draw_fit(path, fitted, folder, stop) if args.report else profile
     if drawn is None:
         return stop.exit_code
@@ -168,7 +169,10 @@ def _profile_text(path: Path, fitted: Fitted) -> str:
     log = fitted.log
     source = f"Fitted by maximum likelihood to {path.name}: {len(log.delay)} messages"
     source += ", round trips, each way half of the delay and all of the losses" if log.round_trip else ""
-    return dump({"title": path.stem, "source": f"{source}.", "channel": fitted.model.as_written()})
+    channel = fitted.model.as_written()
+    if fitted.table is not None:
+        channel["delay"]["table"] = fitted.table.name  # beside the profile
+    return dump({"title": path.stem, "source": f"{source}.", "channel": channel})
 
 
 def _draw_fit(path: Path, fitted: Fitted, folder: Path, stop_requested: StopRequest) -> Path | None:

@@ -14,18 +14,26 @@ from cosim.channel import measured
 from cosim.channel.playing import Alone, play
 from cosim.channel.subject import PERIOD, SEED, Subject, pairs
 from cosim.errors import ConfigError, Location, Problem
+from cosim.recording.manifest import write_atomically
 from cosim.reporting import network
 from cosim.reporting.edges import Edges
 from cosim.reporting.words import NOTHING, Rows, number
 from network.fitting.delays import DelayFit, correlation, fit_delays
 from network.fitting.losses import LossFit, fit_losses
+from network.impairments.distributions import TABLE_SCALE
 from network.messages import NEVER, Fate, Fates, Floats
 from network.netem import Netem
-from network.traffic import loss_runs, one_way_delays
+from network.traffic import loss_runs
 from network.units import format_duration, parse_duration
 
-MOST_TICKS = 200_000
+MOST_TICKS = 50_000
 """Of the fitted profile that is played beside the log."""
+
+FAR = 0.03
+"""Kolmogorov's distance at which the best distribution is not good enough, and the log's own is taken."""
+
+TABLE_ENTRIES = 4096
+"""As many as iproute2's tables have."""
 
 _SMOOTH_MESSAGES = 100_000
 _MOST_EDGES = 50
@@ -40,6 +48,8 @@ class Fitted:
         delays, losses: the best first; no losses were fitted where there were none.
         correlation: of a delay with the one before.
         model: the profile.
+        distance: Kolmogorov's, between the delays of the log and the best distribution.
+        table: the file with the log's own distribution, where no other is near enough.
     """
 
     log: measured.Log
@@ -47,6 +57,8 @@ class Fitted:
     losses: list[LossFit]
     correlation: float
     model: Netem
+    distance: float
+    table: Path | None
 
     @property
     def period_ns(self) -> int:
@@ -73,15 +85,10 @@ class Fitted:
         ticks = min(len(self.log.delay), MOST_TICKS)
         return Subject("fitted", "", "", self.model, pairs(edges), self.period_ns, ticks, SEED, 8)
 
-    @cached_property
-    def distance(self) -> tuple[float, float]:
-        """Kolmogorov's distance between the delays of log and profile; what 95 % of such logs of the profile keep."""
-        from scipy import stats
-
-        logged = np.concatenate([one_way_delays(log, self.measured.span) for log in self.measured.logs])
-        model = np.concatenate([one_way_delays(log, self.smooth.span) for log in self.smooth.logs])
-        found = stats.ks_2samp(logged, model, method="asymp")
-        return float(found.statistic), _KOLMOGOROV * math.sqrt(1 / len(logged) + 1 / len(model))
+    @property
+    def allowed(self) -> float:
+        """The distance that 95 % of the logs keep which the distribution itself makes."""
+        return _KOLMOGOROV / math.sqrt(len(self.log.arrived))
 
 
 def one_way(log: measured.Log) -> Floats:
@@ -89,11 +96,17 @@ def one_way(log: measured.Log) -> Floats:
     return log.delay / 2 if log.round_trip else log.delay
 
 
-def fit(log: measured.Log, path: Path) -> Fitted:
+def fit(log: measured.Log, path: Path, folder: Path) -> Fitted:
     """The profile under which a log is most likely.
+
+    Args:
+        log: that was read.
+        path: of it.
+        folder: where the log's own distribution is written, if no other is near enough.
 
     Raises:
         ConfigError: its delays are not positive.
+        OSError: the distribution cannot be written.
     """
     arrived = one_way(log)[~log.lost]
     try:
@@ -102,10 +115,44 @@ def fit(log: measured.Log, path: Path) -> Fitted:
         raise ConfigError([Problem(str(error), Location(str(path)))]) from None
     losses = fit_losses(log.lost) if log.lost.any() else []
     correlated = correlation(delays[0], arrived)
-    return Fitted(log, delays, losses, correlated, _model(log, delays[0], losses, correlated))
+    distance, table = _distance(delays[0], arrived), None
+    if distance > max(FAR, _KOLMOGOROV / math.sqrt(len(arrived))):
+        table = folder / f"{path.stem}.dist"
+        folder.mkdir(parents=True, exist_ok=True)
+    model = _model(log, arrived, delays[0], losses, correlated, table)
+    return Fitted(log, delays, losses, correlated, model, distance, table)
 
 
-def _model(log: measured.Log, delay: DelayFit, losses: list[LossFit], correlated: float) -> Netem:
+def _distance(fit: DelayFit, delays: Floats) -> float:
+    """Of a distribution, with its steps, from that of some delays."""
+    if fit.name is None:
+        return 0.0
+    values, counts = np.unique(delays, return_counts=True)
+    share = np.cumsum(counts) / len(delays)
+    before = np.concatenate(([0.0], share[:-1]))
+    half = np.diff(values).min() / 2  # what was rounded to a value may lie on either side of it
+    return float(np.maximum(share - fit.cdf(values + half), fit.cdf(values - half) - before).max())
+
+
+def _write_table(path: Path, delays: Floats) -> tuple[float, float]:
+    """A file in iproute2's format with the quantiles of some delays; its time and jitter, in seconds."""
+    time = float(delays.mean())
+    jitter = max(float(delays.std()), float(np.abs(delays - time).max()) / 100)
+    quantiles = np.quantile(delays, (np.arange(TABLE_ENTRIES) + 0.5) / TABLE_ENTRIES)
+    entries = np.rint((quantiles - time) / jitter * TABLE_SCALE).astype(np.int64).tolist()
+    lines = (" ".join(map(str, entries[i : i + 8])) for i in range(0, len(entries), 8))
+    write_atomically(path, f"# quantiles of {len(delays)} measured delays\n" + "\n".join(lines) + "\n")
+    return time, jitter
+
+
+def _model(  # noqa: PLR0917
+    log: measured.Log,
+    arrived: Floats,
+    delay: DelayFit,
+    losses: list[LossFit],
+    correlated: float,
+    table: Path | None,
+) -> Netem:
     written: dict[str, Any] = {}
     if losses:
         best = losses[0]
@@ -116,6 +163,10 @@ def _model(log: measured.Log, delay: DelayFit, losses: list[LossFit], correlated
     spread = float(log.arrived.max() - log.arrived.min())
     in_order = log.period is not None and not log.reordered and spread > log.period
     written["delay"] = _delay(delay, correlated, fifo=in_order)
+    if table is not None:
+        time, jitter = _write_table(table, arrived)
+        kept = {name: value for name, value in written["delay"].items() if name in ("correlation", "fifo")}
+        written["delay"] = {"time": _time(time), "jitter": _time(jitter), "table": str(table.absolute()), **kept}
     return Netem.model_validate(written)
 
 
@@ -123,9 +174,6 @@ def _delay(fit: DelayFit, correlated: float, *, fifo: bool) -> Any:
     extra = ({"correlation": _rounded(correlated, 2)} if correlated else {}) | ({"fifo": True} if fifo else {})
     if fit.name is None:
         return {"time": _time(fit.time)} | ({"fifo": True} if fifo else {})
-    if fit.name == "uniform":
-        ends = [_time(fit.time - fit.jitter), _time(fit.time + fit.jitter)]
-        return {**Netem.model_validate({"delay": ends}).model_dump(mode="json")["delay"], **extra} if extra else ends
     return {
         "time": _time(fit.time),
         "jitter": _time(fit.jitter),
@@ -227,10 +275,15 @@ def comparison(fitted: Fitted) -> list[tuple[str, str, str]]:
 
 def goodness(fitted: Fitted) -> Rows:
     """Numbers for how well it fits."""
-    distance, allowed = fitted.distance
-    verdict = "no difference to be seen" if distance <= allowed else "they differ: see the figure for where"
-    text = f"{distance:.2g}; of logs of the profile itself 95 % are within {allowed:.2g}: {verdict}"
-    rows = [("Kolmogorov's distance of the delays", text)]
+    name = fitted.delays[0].name or "fixed"
+    text = f"{fitted.distance:.2g}; of logs that it made itself 95 % are within {fitted.allowed:.2g}: "
+    if fitted.table is not None:
+        text += f"too far; so the profile has the log's own distribution, {fitted.table.name}"
+    elif fitted.distance > fitted.allowed:
+        text += "they differ a little"
+    else:
+        text += "no difference to be seen"
+    rows = [(f"Kolmogorov's distance of {name}", text)]
     if fitted.losses:
         logged, model = _runs(fitted.measured), _runs(fitted.smooth)
         rows.append(("Losses in a row, mean", f"{_mean(logged)} in the log, {_mean(model)} of the profile"))

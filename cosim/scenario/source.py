@@ -348,5 +348,7 @@ def dump(tree: Any) -> str:
 
 def dump_on_one_line(value: Any) -> str:
     """YAML text of a plain value that may stand behind a key."""
-    text: str = yaml.dump(value, Dumper=_Dumper, allow_unicode=True, default_flow_style=True, width=2**30)
+    text: str = yaml.dump(
+        value, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=True, width=2**30
+    )
     return text.removesuffix("\n").removesuffix("\n...")

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from cosim import cli
 from cosim.channel import fit, measured
@@ -152,32 +153,36 @@ def test_a_log_becomes_the_profile_that_made_it(
     assert cli.main(["channel", str(folder / "pings.yaml"), "--ticks", "100", "--no-report"]) == 0
 
 
-def test_a_log_that_no_distribution_fits_is_told_so(tmp_path: Path) -> None:
+def test_where_no_distribution_fits_the_log_s_own_is_taken(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rng = np.random.default_rng(1)
     delays = np.where(rng.random(3000) < 0.5, rng.normal(0.02, 0.001, 3000), rng.normal(0.08, 0.001, 3000))
-    fitted = fit.fit(read(tmp_path, csv_of(delays)), tmp_path / "log.csv")
-    assert "they differ" in dict(fit.goodness(fitted))["Kolmogorov's distance of the delays"]
-    assert fitted.losses == []
+    (tmp_path / "log.csv").write_text(csv_of(delays))
+    assert cli.main(["channel", "--fit", str(tmp_path / "log.csv"), "--out", str(tmp_path / "out")]) == 0
+    assert "too far; so the profile has the log's own distribution, log.dist" in capsys.readouterr().out
+    assert "table: log.dist" in (tmp_path / "out" / "log.yaml").read_text()
+    again = delays_of(str(tmp_path / "out" / "log.yaml"), 3000)
+    assert stats.ks_2samp(delays, again).pvalue > 1e-6
 
 
 def test_a_round_trip_is_halved(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text(csv_of(np.full(30, 0.04)))
     log = measured.read(tmp_path / "log.csv", round_trip=True)
-    assert fit.fit(log, tmp_path / "log.csv").model.as_written() == {"model": "netem", "delay": "20 ms"}
+    model = fit.fit(log, tmp_path / "log.csv", tmp_path / "out").model
+    assert model.as_written() == {"model": "netem", "delay": "20 ms"}
 
 
 def test_order_is_kept_where_the_log_kept_it(tmp_path: Path) -> None:
     slow = "{model: netem, delay: {time: 300 ms, jitter: 150 ms, distribution: lognormal%s}}"
     for extra, expected in ((", fifo: true", True), ("", False)):
         log = read(tmp_path, csv_of(delays_of(slow % extra, 2000)))
-        delay = fit.fit(log, tmp_path / "log.csv").model.delay
+        delay = fit.fit(log, tmp_path / "log.csv", tmp_path / "out").model.delay
         assert delay is not None
         assert delay.fifo is expected
 
 
 def test_the_log_s_own_measures_stand_beside_the_profile_s(tmp_path: Path) -> None:
     delays = delays_of(WIFI, 1000)
-    fitted = fit.fit(read(tmp_path, csv_of(delays)), tmp_path / "log.csv")
+    fitted = fit.fit(read(tmp_path, csv_of(delays)), tmp_path / "log.csv", tmp_path / "out")
     rows = {label: log for label, log, _ in fit.comparison(fitted)}
     assert rows["Delivery ratio"] == f"{100 * np.isfinite(delays).mean():.3g} %"
     (age,) = fitted.measured.ages

@@ -17,7 +17,7 @@ from network.freshness import EdgeLog, Span
 from network.messages import Fate, Floats
 from network.units import to_seconds
 
-TICKS = 150
+TICKS = 80
 """Of the sawtooth; the whole run is longer than a column is wide."""
 
 NAMED_EDGES = 24

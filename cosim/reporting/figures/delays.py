@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import StrMethodFormatter
+from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
 from cosim.reporting.edges import Edges
 from cosim.reporting.figures import style
@@ -69,7 +69,9 @@ def delay_axis(axes: Axes, values: Floats) -> None:
     else:
         room = 0.05 * (values.max() - values.min()) or max(0.1 * float(values.max()), 1e-3)
         axes.set_xlim(max(0.0, float(values.min()) - room), float(values.max()) + room)
-    axes.set_xlabel("one-way delay (s)", labelpad=2)
+        axes.xaxis.set_major_locator(MaxNLocator(5))
+    axes.xaxis.labelpad = 2
+    style.seconds_axis(axes.xaxis, "one-way delay", float(values.max()))
 
 
 def _delays(edges: Edges, links: list[int]) -> tuple[Floats, int]:

@@ -50,7 +50,7 @@ def draw_log(fit: Compared) -> tuple[Figure, str]:
     axes.vlines(lost, -0.07 * top, -0.015 * top, color=style.WARM, linewidth=0.5)
     style.time_axis(axes, 0.0, edges.span.n_ticks * period / 1e9)
     axes.set_ylim(-0.09 * top, top)
-    axes.set_ylabel("delay (s)")
+    style.seconds_axis(axes.yaxis, "delay", top)
     handles = [
         Line2D([], [], color=style.ACCENT, marker=".", markersize=4, linestyle="none"),
         Line2D([], [], color=style.WARM, marker="|", markersize=4, linestyle="none"),

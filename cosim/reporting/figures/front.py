@@ -49,7 +49,7 @@ def draw_front(edges: Edges) -> tuple[Figure, str]:
     axes.set_ylim(0, top)
     axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
     axes.set_xlabel("k* (ticks)", labelpad=2)
-    axes.set_ylabel("h (s)")
+    style.seconds_axis(axes.yaxis, "h", top)
     return figure, text
 
 

@@ -9,7 +9,9 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
 from network.messages import Floats
 
@@ -35,6 +37,9 @@ AGENT_COLOURS = (
     "#999933",
     "#666666",
 )
+SHORT_S = 0.1
+"""Shorter times are shown in milliseconds."""
+
 INK = "#222222"
 ACCENT = "#0072B2"  # blue, orange and green of Okabe and Ito
 WARM = "#D55E00"
@@ -128,6 +133,15 @@ def time_axis(axes: Axes, start: float, stop: float) -> None:
     """Seconds, from start to stop."""
     axes.set_xlabel("time (s)", labelpad=2)
     axes.set_xlim(start, stop if stop > start else start + 1)
+
+
+def seconds_axis(axis: Axis, label: str, largest: float) -> None:
+    """A label with its unit: seconds, or milliseconds where nothing is as long as a tenth of a second."""
+    if largest < SHORT_S:
+        axis.set_major_formatter(FuncFormatter(lambda x, _: f"{1e3 * x:.6g}"))
+        axis.set_label_text(f"{label} (ms)")
+    else:
+        axis.set_label_text(f"{label} (s)")
 
 
 def legend_lines(labels: Sequence[str], title: str = "") -> int:
