@@ -8,6 +8,7 @@ import numpy as np
 
 from cosim.planning.graph import Edge, links_of
 from cosim.planning.problems import Problems
+from cosim.planning.silence import without_root
 from cosim.scenario.reading import Scenario
 from network.channel import Setting
 from network.conformance import Rule, violations
@@ -16,6 +17,7 @@ from network.draws import Draws
 from network.messages import NEVER
 from network.replay import Replay
 
+_NAMED = 3  # silent edges
 _TICKS, _EDGES = 70, 20  # a class of the user's own is tried for so long, on so many
 
 
@@ -34,11 +36,14 @@ def try_channels(scenario: Scenario, edges: Sequence[Edge], problems: Problems) 
                 continue
             sent = channel.transmit_many(range(scenario.spec.duration // period))
             arrives = (sent.delay_ns != NEVER) & (sent.sent * period + sent.delay_ns < scenario.spec.duration)
-            for link in np.setdiff1d(np.arange(len(served)), sent.link[arrives]).tolist():
-                edge = served[link]
-                problems.warning(
-                    f"the channel {name!r} delivers nothing from {edge.sender} to {edge.receiver} in this run", where
-                )
+            silent = [served[link] for link in np.setdiff1d(np.arange(len(served)), sent.link[arrives]).tolist()]
+            if silent:
+                named = ", ".join(f"{edge.sender} -> {edge.receiver}" for edge in silent[:_NAMED])
+                more = f" and {len(silent) - _NAMED} more" if len(silent) > _NAMED else ""
+                without = {(edge.sender, edge.receiver) for edge in silent}
+                others = [edge for edge in edges if (edge.sender, edge.receiver) not in without]
+                rest = without_root(scenario, edges, others)
+                problems.warning(f"the channel {name!r} delivers nothing in this run on {named}{more}{rest}", where)
         elif isinstance(model, Custom):
             some = [(edge.sender, edge.receiver) for edge in served[:_EDGES]]
             for violation in violations(model.served, n_ticks=_TICKS, period_ns=scenario.spec.period, edges=some):

@@ -34,7 +34,7 @@ def warn_of_silence(
         model, where = scenario.spec.channels[name], scenario.root.locate("channels", name, key=True)
         reason = never_delivers(model, scenario.spec.period, scenario.spec.duration, message_bytes)
         if reason is not None:
-            rest = _without(scenario, edges, name)
+            rest = without_root(scenario, edges, [edge for edge in edges if edge.channel != name])
             problems.warning(f"the channel {name!r} delivers nothing in this run: {reason}{rest}", where)
         elif (blackout := longest_blackout_ns(model, scenario.spec.period, scenario.spec.duration)) > 0:
             found = _admitted(analysis, [edge.receiver for edge in edges if edge.channel == name])
@@ -95,9 +95,9 @@ def longest_blackout_ns(model: ChannelModel, period_ns: int, duration_ns: int) -
     return int((spans[:, 1] - spans[:, 0]).max(initial=0)) * period_ns
 
 
-def _without(scenario: Scenario, edges: Sequence[Edge], channel: str) -> str:
+def without_root(scenario: Scenario, edges: Sequence[Edge], rest: Sequence[Edge]) -> str:
+    """What to add to a warning about silent edges where the graph needs them, `rest` being the others."""
     names = list(scenario.agents)
-    rest = [edge for edge in edges if edge.channel != channel]
     needed = roots(links_of(edges, names)) and not roots(links_of(rest, names))
     return "; without its edges the graph has no root" if needed else ""
 

@@ -386,7 +386,7 @@ def test_a_replay_that_delivers_nothing_on_an_edge(tmp_path: Path) -> None:
     (warning,) = planned(
         tmp_path, changed(("fast: {model: ideal}", "fast: {model: replay, file: deliveries.parquet}"))
     ).warnings
-    assert "delivers nothing from 1 to 2 in this run" in warning.message
+    assert "the channel 'fast' delivers nothing in this run on 1 -> 2" in warning.message
     (tmp_path / "manifest.json").write_text('{"period_ns": 50000000}')
     with pytest.raises(ConfigError, match=r"the recorded run has a period of 50 ms, this one of 100 ms"):
         planned(tmp_path, changed(("fast: {model: ideal}", "fast: {model: replay, file: deliveries.parquet}")))
