@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from cosim.errors import Severity
+from tests.components.probe import write_fmu
 from tests.mapping.foreign import CONNECTIONS, MAPPED, PLANT, renamed
 from tests.scenario.scenarios import FILE, changed, errors, marked, problems
 
@@ -89,3 +90,23 @@ def test_an_unknown_unit_is_a_note(tmp_path: Path) -> None:
     notes = [problem for problem in found if problem.severity is Severity.WARNING]
     assert any("nothing says what 'gon' is, so values pass as they are" in note.message for note in notes)
     assert str(notes[0].where).startswith(FILE)
+
+
+def test_an_input_that_has_no_value(tmp_path: Path, probe_library: Path) -> None:
+    """Neither a connection nor a start value: nothing says what it is."""
+    write_fmu(
+        tmp_path / "bare.fmu",
+        probe_library,
+        '<fmiModelDescription fmiVersion="2.0" modelName="Bare" guid="probe"><CoSimulation modelIdentifier="probe"/>'
+        '<ModelVariables><ScalarVariable name="f" valueReference="10" causality="input"><Real/></ScalarVariable>'
+        '<ScalarVariable name="g" valueReference="11" causality="input"><Real/></ScalarVariable>'
+        "</ModelVariables><ModelStructure/></fmiModelDescription>",
+    )
+    bare = (
+        "period: 1 s\nduration: 1 s\nagents:\n  a:\n    components:\n      §plant:\n        fmu: bare.fmu\n        {}\n"
+    )
+    text, place = marked(bare.replace("{}", "inputs: {u: f}\n        start: {g: 1}"))
+    (found,) = errors(tmp_path, text)
+    assert str(found.where) == place
+    assert found.message.startswith("'plant.u' has no value: nothing feeds it, and the component gives it none")
+    assert not errors(tmp_path, text.replace("{g: 1}", "{g: 1, u: 2}"))

@@ -193,3 +193,21 @@ def test_an_element_under_the_name_of_its_array(tmp_path: Path, loop: str) -> No
     assert error is None
     rows = values(found).reshape(-1, 3, 3)
     assert (rows[:, :, 2] == rows[:, :, 0]).all()
+
+
+def test_a_mapped_plant_in_a_process_of_its_own(tmp_path: Path) -> None:
+    """Array elements, starts and scales cross over as everything else does."""
+    mapped = """\
+        fmu: TwoLinkArm
+        inputs: {elbow: "u[2]"}
+        outputs: {p: {from: p, unit: deg}, v: v}
+        start: {p: [20, -30]}
+"""
+    connections = CONNECTIONS.replace("controller.u -> plant.u", "controller.u2 -> plant.elbow")
+    controller = ("start: {role: follower}", 'outputs: {u2: "u[2]"}\n        start: {role: follower}')
+    analysis = ("  reference_velocity: [0.3, 0.6]\n", "")
+    here, there = (
+        played(tmp_path, (PLANT, mapped + more), (CONNECTIONS, connections), controller, analysis, loop="python")
+        for more in ("", "        isolate: true\n")
+    )
+    assert there == here
