@@ -33,14 +33,14 @@ PROFILES = sorted((Path(__file__).parents[2] / "configs" / "channels").glob("*.y
     ],
 )
 def test_what_is_shipped_keeps_the_rules(written: dict[str, Any]) -> None:
-    assert violations(ANY.validate_python({"model": "netem"} | written)) == []
+    assert violations(ANY.validate_python({"model": "netem"} | written), n_ticks=100) == []
 
 
 @pytest.mark.parametrize("path", PROFILES, ids=lambda path: path.stem)
 def test_the_library_of_profiles_keeps_the_rules(path: Path) -> None:
     import yaml
 
-    assert violations(ANY.validate_python(yaml.safe_load(path.read_text())["channel"])) == []
+    assert violations(ANY.validate_python(yaml.safe_load(path.read_text())["channel"]), n_ticks=60) == []
 
 
 @pytest.mark.parametrize(

@@ -326,6 +326,8 @@ def test_channels_that_deliver_nothing(tmp_path: Path, channel: str, sentence: s
         "{model: netem, schedule: {up: [[0.9 s, 2 s]]}}",
         "{model: netem, delay: 999 ms}",
         "{model: netem, mahimahi: soon.trace}",
+        "{model: netem, rate: 300 bit/s, delay: [100 ms, 9 s]}",
+        "{model: window, depth: 10000, delay: [100 ms, 9 s]}",
     ],
 )
 def test_channels_that_may_deliver(tmp_path: Path, channel: str) -> None:
