@@ -168,6 +168,38 @@ def test_interrupt_while_the_report_is_drawn(tmp_path: Path) -> None:
     assert cosim("report", "run", cwd=tmp_path).returncode == 0
 
 
+SINE = """
+seed: 1
+period: 100 ms
+duration: 20 s
+templates:
+  a:
+    components: {m: {python: "cosim.components.library:Sine"}, h: {python: "cosim.components.library:Hold"}}
+    publish: {phi: m.phi}
+    receive: {phi: h.values, stamp: h.stamp, count: h.count}
+agents: {1..2: {template: a}}
+graph: {channel: own, edges: [1 -> 2, 2 -> 1]}
+channels: {own: {model: python, class: "tests.network.own_channels:CLASS"}}
+"""
+
+
+def test_a_channel_of_ones_own(tmp_path: Path) -> None:
+    for name in ("Tired", "FailingLate"):
+        (tmp_path / f"{name}.yaml").write_text(SINE.replace("CLASS", name))
+    ways = {"inline": [], "across": ["--distributed", "--workers", "1"]}
+    for way, options in ways.items():
+        done = cosim("run", "Tired.yaml", *options, "--no-report", "--out", way, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        failed = cosim("run", "FailingLate.yaml", *options, "--no-report", "--out", f"bad-{way}", cwd=tmp_path)
+        assert failed.returncode == 3
+        said = "own_channels:FailingLate, at tick 150 (t = 15 s): KeyError: 'a route' (own_channels.py, line"
+        assert said in failed.stderr
+        assert "Traceback" not in failed.stderr
+        assert manifest(tmp_path / f"bad-{way}")["status"].startswith("aborted: ")
+        assert len(results.load(tmp_path / f"bad-{way}").array("m.phi")) >= 100
+    assert digest(tmp_path / "inline") == digest(tmp_path / "across")
+
+
 def test_folder_that_is_not_empty_is_refused(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("years of work")

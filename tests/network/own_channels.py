@@ -142,6 +142,18 @@ class FailingRadio(Radio):
         return super().transmit(tick)
 
 
+class FailingLate(Tired):
+    def open(self, setting: Setting) -> Channel:
+        return FailingLateRadio(self, setting)
+
+
+class FailingLateRadio(Radio):
+    def transmit(self, tick: int) -> Transmission:
+        if tick == 150:
+            raise KeyError("a route")
+        return super().transmit(tick)
+
+
 class Promising(Tired):
     def min_delay_ns(self) -> int:
         return 2 * self.delay
