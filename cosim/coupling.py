@@ -36,7 +36,8 @@ from cosim.errors import ComponentError
 from cosim.mailbox import Updates
 from cosim.memory import LoopState
 from cosim.plan import CouplingPlan, Integrator, Method
-from cosim.wiring import AlgebraicLoop, Direction, Transfer, Wiring, takes_in_event_mode
+from cosim.transfers import Direction, Transfer
+from cosim.wiring import AlgebraicLoop, Wiring, takes_in_event_mode
 from network.units import NANOSECONDS_PER_SECOND, to_seconds
 
 _SET = Direction.SET

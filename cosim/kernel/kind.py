@@ -15,11 +15,12 @@ from cosim.errors import ComponentError, ConfigError, Problem
 from cosim.kernel import layout
 from cosim.kernel.layout import Reason
 from cosim.plan import CouplingPlan
-from cosim.wiring import Transfer, takes_in_event_mode
+from cosim.transfers import Transfer
+from cosim.wiring import takes_in_event_mode
 
 if TYPE_CHECKING:
     from cosim.components.fmu import FmuComponent, Native
-    from cosim.wiring import Transfer, Wiring
+    from cosim.wiring import Wiring
 
 
 class Kind:

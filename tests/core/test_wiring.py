@@ -7,7 +7,8 @@ import pytest
 
 from cosim.components.component import Description, Interface, Variable
 from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, MailboxPlan, Method, Port
-from cosim.wiring import AlgebraicLoopError, Direction, wire
+from cosim.transfers import Direction
+from cosim.wiring import AlgebraicLoopError, wire
 from network.messages import MessageLayout
 
 DESCRIPTION = Description("M", "3.0", (Interface.MODEL_EXCHANGE,), {})
