@@ -21,12 +21,14 @@ import fmus
 from cosim.components.component import Interface, Value
 from cosim.components.fmu import FmuComponent, describe, library, open_fmu
 from cosim.errors import ComponentError, ConfigError
+from fmus import build
 from tests.components.probe import TYPES, description2, description3, write_fmu
 
 ME, CS = Interface.MODEL_EXCHANGE, Interface.CO_SIMULATION
 ROOT = Path(__file__).parents[2]
 
 Open = Callable[..., FmuComponent]
+EXPORT = '__attribute__((visibility("default")))'
 
 
 @pytest.fixture
@@ -127,10 +129,11 @@ def test_an_ended_instance_cannot_be_called(opened: Open) -> None:
 
 def test_opening_leaves_the_working_directory_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    path = write_fmu(tmp_path / "x.fmu", None, description3(), {"binaries/x86_64-linux/probe.so": "no library"})
-    name = f"binaries/{fmpy.platform_tuple}/probe{fmpy.sharedLibraryExtension}"
-    write_fmu(path, None, description3(), {name: "no library"})
-    with pytest.raises(ConfigError, match="cannot be loaded: binaries"):
+    source = tmp_path / "unresolved.c"
+    source.write_text(f"int not_there(void);\n{EXPORT} int fmi3GetVersion(void) {{ return not_there(); }}\n")
+    build.compile_shared([source], tmp_path / f"probe{build.library_suffix()}")
+    path = write_fmu(tmp_path / "x.fmu", tmp_path / f"probe{build.library_suffix()}", description3())
+    with pytest.raises(ConfigError, match=r"cannot be loaded: .*not_there"):
         open_fmu("broken", path, CS, describe(path))
     assert Path.cwd() == tmp_path
 

@@ -13,7 +13,6 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-import fmpy
 import numpy as np
 import pytest
 from hypothesis import given
@@ -23,6 +22,7 @@ from cosim.components.isolation.calls import ProtocolError, calls, fault, result
 from cosim.errors import ConfigError, RunError
 from cosim.plan import Loop
 from cosim.results import load
+from fmus import build
 from tests.components.misbehaving import ROOT, cosim, digest, scenario
 from tests.components.probe import description3, write_fmu
 from tests.distributed.networks import Record, in_process, planned
@@ -199,12 +199,16 @@ def await_true(condition: Callable[[], bool]) -> None:
         time.sleep(0.01)
 
 
-def test_a_file_that_cannot_be_loaded(tmp_path: Path, probes: dict[int, Path]) -> None:
-    name = f"binaries/{fmpy.platform_tuple}/probe{fmpy.sharedLibraryExtension}"
-    path = write_fmu(tmp_path / "broken.fmu", None, description3(), {name: "no library"})
+def test_a_file_that_cannot_be_loaded(tmp_path: Path) -> None:
+    source, library = tmp_path / "unresolved.c", tmp_path / f"probe{build.library_suffix()}"
+    export = '__attribute__((visibility("default")))'
+    source.write_text(f"int not_there(void);\n{export} int fmi3GetVersion(void) {{ return not_there(); }}\n")
+    build.compile_shared([source], library)
+    path = write_fmu(tmp_path / "broken.fmu", library, description3())
     _, error = played(scenario(path, "nothing", ", isolate: true").replace("  good: {template: probe}\n", ""))
     assert isinstance(error, ConfigError)
-    assert "component probe: broken.fmu cannot be loaded: binaries" in str(error)
+    assert "component probe: broken.fmu cannot be loaded: " in str(error)
+    assert "not_there" in str(error)
 
 
 def test_start_values_that_are_refused(probes: dict[int, Path]) -> None:

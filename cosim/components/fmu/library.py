@@ -27,6 +27,7 @@ from xml.etree import ElementTree
 
 from cosim.components.component import Interface
 from cosim.components.fmu.archive import Archive, inspect, refuse, unpack
+from cosim.components.fmu.binary import HEAD_BYTES, complete, unfit
 from cosim.errors import ComponentError
 from cosim.logs import Sink, discard
 
@@ -138,7 +139,21 @@ def _read_version(name: str, _mtime_ns: int, _size: int) -> File:
         raise refuse(path, f"only works together with {tool} (needsExecutionTool); export it without that need")
     if not implementations:
         raise refuse(path, "offers neither Model Exchange nor Co-Simulation")
-    return File(archive, model, implementations, _library_folder(archive, model, implementations))
+    folder = _library_folder(archive, model, implementations)
+    if folder is not None and archive.whole:
+        for identifier in {x.modelIdentifier for x in implementations.values()}:
+            _check_library(path, f"binaries/{folder}/{identifier}{fmpy.sharedLibraryExtension}")
+    return File(archive, model, implementations, folder)
+
+
+def _check_library(path: Path, name: str) -> None:
+    try:
+        with zipfile.ZipFile(path) as archive, archive.open(name) as member:
+            reason = unfit(member.read(HEAD_BYTES), archive.getinfo(name).file_size)
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
+        raise refuse(path, f"cannot be unpacked: {error}") from error
+    if reason:
+        raise refuse(path, f"cannot be loaded: {name} {reason}")
 
 
 def _read_model(path: Path) -> Any:
@@ -209,9 +224,11 @@ def _load(file: File, interface: Interface) -> Any:
     arguments = {"guid": file.model.guid, "modelIdentifier": identifier, "unzipDirectory": str(folder)}
     if file.fmi == 2:
         arguments["libraryPath"] = str(library)
+    used = {v.type for v in file.model.modelVariables}
+    types = frozenset(_STORED_AS[t][file.fmi - 2] if t in _STORED_AS else t for t in used)
     working_directory = Path.cwd()
     try:
-        fmu = _CLASSES[file.fmi, interface](**arguments)
+        fmu = _forgiving(_CLASSES[file.fmi, interface], types)(**arguments)
     except Exception as error:  # FMPy raises bare exceptions
         reason = str(error.__context__ or error).replace(f"{folder}{os.sep}", "")
         raise refuse(file.archive.path, f"cannot be loaded: {reason}") from error
@@ -224,12 +241,30 @@ def _load(file: File, interface: Interface) -> Any:
     return fmu
 
 
+def _forgiving(base: Any, types: frozenset[str]) -> Any:
+    """FMPy's class, for libraries that lack functions which they can do without."""
+
+    def load_functions(self: Any) -> None:
+        prefix = "fmi2" if base.__name__.startswith("FMU2") else "fmi3"
+        lacking = complete(self.dll, [name for name in dir(base) if name.startswith(prefix)], types)
+        if lacking:
+            others = f" and {len(lacking) - 1} more functions" if lacking[1:] else ""
+            raise AttributeError(
+                f"its library lacks {lacking[0]}{others}, which {prefix[:3].upper()} {prefix[3]}.0 asks for"
+            )
+        base._loadFunctions(self)
+
+    return type(base.__name__, (base,), {"_loadFunctions": load_functions})
+
+
 _CLASSES = {
     (2, Interface.MODEL_EXCHANGE): FMU2Model,
     (2, Interface.CO_SIMULATION): FMU2Slave,
     (3, Interface.MODEL_EXCHANGE): FMU3Model,
     (3, Interface.CO_SIMULATION): FMU3Slave,
 }
+_STORED_AS = {"Enumeration": ("Integer", "Int64")}
+"""Types that have no functions of their own, in FMI 2.0 and 3.0."""
 
 _cached_load = functools.cache(_load)
 
