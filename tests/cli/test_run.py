@@ -196,7 +196,7 @@ def test_a_channel_of_ones_own(tmp_path: Path) -> None:
         assert said in failed.stderr
         assert "Traceback" not in failed.stderr
         assert manifest(tmp_path / f"bad-{way}")["status"].startswith("aborted: ")
-        assert len(results.load(tmp_path / f"bad-{way}").array("m.phi")) > 0  # across processes less is recorded
+    assert len(results.load(tmp_path / "bad-inline").array("m.phi")) >= 100
     assert digest(tmp_path / "inline") == digest(tmp_path / "across")
 
 
