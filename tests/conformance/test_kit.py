@@ -47,14 +47,14 @@ BROKEN = [
         components.Fragile,
         {"bad values": "crashes its process (SIGABRT); the last line that it printed: what is this?"},
     ),
-    (components.Endless, {"bad values": "does not come to an end within 1 s"}),
+    (components.Endless, {"bad values": "does not come to an end within 4 s"}),
     (components.Picky, dict.fromkeys(("run", "initialise"), "ValueError: 1 is no good start (components.py, line")),
 ]
 
 
 @pytest.mark.parametrize(("cls", "expected"), BROKEN, ids=lambda x: getattr(x, "__name__", ""))
 def test_a_python_class_that_breaks_a_rule(cls: type, expected: dict[str, str]) -> None:
-    report = check(cls, deadline=1.0 if cls is components.Endless else 10.0)
+    report = check(cls, deadline=4.0 if cls is components.Endless else 30.0)
     found = problems(report)
     assert found.keys() >= expected.keys()
     for name, sentence in expected.items():
@@ -81,7 +81,7 @@ def test_fmus_that_break_rules(probes: dict[int, Path]) -> None:
         ("never_settles", "run", "its discrete states did not settle within"),
         ("derivative_nan", "run", "not finite within 20 steps of 0.1 s: x"),
         ("derivative_crashes", "run", "crashes its process (SIGSEGV)"),
-        ("derivative_hangs", "run", "does not come to an end within 1 s"),
+        ("derivative_hangs", "run", "does not come to an end within 4 s"),
     ],
 )
 def test_fmus_that_fail(tmp_path: Path, probe_library: Path, fails: str, name: str, sentence: str) -> None:
@@ -89,7 +89,7 @@ def test_fmus_that_fail(tmp_path: Path, probe_library: Path, fails: str, name: s
     unused = "CoSimulation" if "step" not in fails else "ModelExchange"
     lines = [line for line in text.split("\n") if f"<{unused} " not in line]
     path = write_fmu(tmp_path / "probe.fmu", probe_library, "\n".join(lines))
-    report = check(path, start={"fails": fails}, deadline=1.0)
+    report = check(path, start={"fails": fails}, deadline=4.0 if fails == "derivative_hangs" else 30.0)
     assert any(p.check == name and sentence in p.text for p in report.problems), str(report)
 
 
