@@ -44,8 +44,9 @@ from network.transport import (
     nothing_arrived,
 )
 
-LEASE: Final = 2.0
-"""Seconds without a sign of life after which a process that is stopped, or cut off, counts as lost."""
+LEASE: Final = 5.0
+"""Seconds without a sign of life after which a process that is stopped, or cut off, counts as lost; less than this is
+not rare where many processes start on few cores."""
 
 HUB_STALL: Final = 5.0
 """Seconds for which a process's Zenoh may take nothing before the hub closes the connection, and it counts as lost."""
