@@ -8,8 +8,7 @@ import re
 import socket
 import sys
 import time
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
@@ -46,14 +45,18 @@ def main(args: argparse.Namespace) -> int:
     if args.files is not None and not args.files.is_dir():
         raise CosimError(f"--files {args.files}: there is no such folder")
     folders = [folder for folder in (args.files, Path()) if folder is not None]
-    tell = partial(print, file=sys.stderr, flush=True)
     claim = Claim(version("netcosim"), f"process {os.getpid()} on {socket.gethostname()}", agents)
     with Scratch() as store, place.join(name, args.wait, tell) as endpoint:
         try:
-            _take_part(Witness(endpoint), claim, folders, store, tell)
+            _take_part(Witness(endpoint), claim, folders, store)
         except PeerLost as lost:
             raise ClusterError(f"the orchestrator is gone: {lost.reason}") from lost
     return 0
+
+
+def tell(text: str) -> None:
+    """A line on standard error, wherever that is by now."""
+    print(text, file=sys.stderr, flush=True)
 
 
 def _worker(args: argparse.Namespace) -> tuple[str, str | None]:
@@ -68,9 +71,7 @@ def _worker(args: argparse.Namespace) -> tuple[str, str | None]:
     return args.name or f"{host or 'worker'}-{os.getpid()}", args.agents
 
 
-def _take_part(
-    endpoint: Witness, claim: Claim, folders: Sequence[Path], store: Path, tell: Callable[[str], object]
-) -> None:
+def _take_part(endpoint: Witness, claim: Claim, folders: Sequence[Path], store: Path) -> None:
     offer, located, plan = prepare(endpoint, claim, folders, store)
     tell(f"{endpoint.name} is ready; waiting for the others")
 
