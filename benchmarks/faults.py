@@ -36,14 +36,14 @@ DEADLINE = 1.0
 MARK = "COSIM_FAULT_MARK"
 FAULTS = {
     "worker killed": "killed",
-    "worker stopped (lease 2 s)": "stopped",
+    "worker stopped (after 2 s)": "stopped",
     f"worker hangs (deadline {DEADLINE:g} s)": "hangs",
     "a message lost, and all after it": "loses",
     "a message lost": "gap",
     "a message twice": "twice",
     "a message damaged": "damaged",
     "emulator killed": "kills emulator",
-    "emulator stopped (lease 2 s)": "stops emulator",
+    "emulator stopped (after 2 s)": "stops emulator",
     "orchestrator killed": "kills orchestrator",
 }
 ORCHESTRATOR = "kills orchestrator"
@@ -185,7 +185,10 @@ def main() -> None:
     try:
         for number in range(args.trials):
             for case in cases:
-                found[case].append(trial(*case))
+                try:
+                    found[case].append(trial(*case))
+                except FileNotFoundError:
+                    print("the run ended before its fault", file=sys.stderr)
             print(f"{number + 1} of {args.trials}", file=sys.stderr)
     except KeyboardInterrupt:
         print("interrupted: fewer trials", file=sys.stderr)

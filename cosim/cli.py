@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import signal
 import sys
@@ -97,12 +98,17 @@ def _linked(problem: Problem) -> str:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from cosim import running
+    gc.disable()  # until it begins: a start creates much and drops nothing
+    try:
+        from cosim import running
 
-    return running.main(args)
+        return running.main(args)
+    finally:
+        gc.enable()
 
 
 def _process(args: argparse.Namespace) -> NoReturn:
+    gc.disable()  # until it is prepared
     from cosim.distributed import serving
 
     serving.main(args)

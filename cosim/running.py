@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import itertools
 import sys
 import time
@@ -98,6 +99,7 @@ def record(args: argparse.Namespace, plan: Plan, way: Way, *, here: bool = False
         if estimate is not None and not _prepared(estimate, stop, quiet=args.quiet):
             return stop.exit_code
         recorder.open()
+        gc.enable()
         if bridge is not None and not args.quiet:
             say(f"the bridge {bridge.where}")
         try:

@@ -55,6 +55,11 @@ STALL: Final = 60.0
 """The same for what the others send to the hub: longer, so that the one who does not take its messages is named."""
 
 _WAIT: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"  # µs
+_LEASE: Final = "transport/link/tx/lease"  # ms
+_BUSY: Final = 20.0
+WATCHED: Final[Mapping[str, object]] = {_LEASE: int(_BUSY * 1e3), _WAIT: int(_BUSY * 1e6)}
+"""Settings of processes that somebody watches who sees them end or stop: on a busy host they may be silent for long."""
+
 _ASK_AGAIN: Final = 0.05  # s
 _TRY: Final = 1.0  # s in one attempt to reach somebody: a request to stop is heard in between
 _INBOX: Final = 2**20  # messages; if it were full, Zenoh's receiving thread would wait, and with it every other link
@@ -64,7 +69,7 @@ _SETTINGS: Final[Mapping[str, object]] = {
     "scouting/delay": 0,
     "transport/shared_memory/enabled": False,
     "timestamping/enabled": False,
-    "transport/link/tx/lease": int(LEASE * 1e3),
+    _LEASE: int(LEASE * 1e3),
     _WAIT: int(STALL * 1e6),
     "transport/unicast/max_sessions": 4000,
 }

@@ -26,7 +26,7 @@ PER_AGENT: Final = "per-agent"
 STEP_DEADLINE = 30.0
 """Seconds in which some process must get further."""
 
-_ROUTER_SECONDS = 30.0
+_ROUTER_SECONDS = 60.0
 _TRY_SECONDS = 1.0
 
 
@@ -112,12 +112,12 @@ def _hub(
 
     A worker that is lost meanwhile is replaced later, if it is to be.
     """
-    from network.zenoh import open_hub
+    from network.zenoh import WATCHED, open_hub
 
     deadline = time.monotonic() + _ROUTER_SECONDS
     while True:
         try:
-            return open_hub(run_id, connect=[processes.endpoint], timeout=_TRY_SECONDS)
+            return open_hub(run_id, connect=[processes.endpoint], settings=WATCHED, timeout=_TRY_SECONDS)
         except TransportError as error:
             if stop_requested():
                 raise Interrupted(0) from error
@@ -128,4 +128,4 @@ def _hub(
                     f"{who} {processes.condition(lost)} before the first tick\n  all others wait for all to be ready"
                 ) from error
             if time.monotonic() > deadline:
-                raise ClusterError(str(error)) from error
+                raise ClusterError(f"the emulator did not begin to listen within {_ROUTER_SECONDS:g} s") from error

@@ -19,7 +19,7 @@ from cosim.spawning import how_it_ended, search_path, signal_name
 
 _EXIT_SECONDS = 1.0
 _STOPPED_SECONDS = 2.0
-"""After so long, a stopped process is lost; the same as for those whose connection is silent."""
+"""After so long, a stopped process is lost."""
 
 
 class Processes:

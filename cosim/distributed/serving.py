@@ -8,6 +8,7 @@ hangs in native code.
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import shutil
 import sys
@@ -44,7 +45,7 @@ _IDLE_SECONDS = 1.0
 _ONE_THREAD = "(rx:(handover:app),acc:(handover:app),tx:(handover:app),net:(handover:app),app:(worker_threads:1))"
 """Of Zenoh, for a process that relays nothing: fewer threads to wake. A router would block itself with it."""
 
-_JOIN_SECONDS = 30.0
+_JOIN_SECONDS = 120.0
 _GRACE_SECONDS = 0.5
 _MAIL_BYTES = 32 << 20
 """Kept in memory for replacements of lost workers; more goes to a file."""
@@ -137,6 +138,8 @@ def serve(
                 served = machine(endpoint.name, job, whereabouts, planned, logs)
                 hold_back = 0.0 if job.paced else FLUSH_SECONDS
         send(endpoint, served.prepare())
+        gc.freeze()  # what is there stays: it need not be looked through ever again
+        gc.enable()
         _carry_out(endpoint, served, hold_back)
     except PeerLost:
         raise
@@ -206,12 +209,13 @@ def main(args: argparse.Namespace) -> NoReturn:
     if not listen:
         os.environ.setdefault("ZENOH_RUNTIME", _ONE_THREAD)
     from cosim.distributed import whereabouts
-    from network.zenoh import connect
+    from network.zenoh import WATCHED, connect
 
     code = 0
     try:
         with _logs(args) as logs:
-            endpoint = connect(args.run, args.name, [args.endpoint], timeout=_JOIN_SECONDS, listen=listen)
+            where = [args.endpoint]
+            endpoint = connect(args.run, args.name, where, settings=WATCHED, timeout=_JOIN_SECONDS, listen=listen)
             serve(endpoint, whereabouts.write_to(args.scratch, args.name), logs=logs)
     except PeerLost:
         code = EXIT_ORPHANED

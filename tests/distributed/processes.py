@@ -68,14 +68,6 @@ def child(name: str, of: int | None = None) -> int:
     raise LookupError(name)
 
 
-def ended(pid: int) -> bool:
-    """Whether a process is gone, or waits for its parent to take note."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
-    except OSError:
-        return True
-
-
 def harm_at_birth(monkeypatch: pytest.MonkeyPatch, name: str, number: signal.Signals) -> None:
     """A process of the runs to come gets a signal as soon as it is started, the first one of that name."""
     start, harmed = Processes.start, []

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
+from time import sleep
 
 import pytest
 from hypothesis import given, settings
@@ -37,7 +38,6 @@ from tests.distributed.processes import (
     child,
     command,
     cosim,
-    ended,
     environment,
     harm_at_birth,
     manifest,
@@ -230,20 +230,17 @@ def test_process_that_is_lost_before_it_has_joined(
     assert_nothing_left(scratch)
 
 
-def test_orchestrator_that_is_stopped_and_goes_on_is_told_so(tmp_path: Path) -> None:
-    """As by Ctrl-Z and fg: the others are gone by then, and are not the ones to blame."""
-    (tmp_path / "net.yaml").write_text(scenario(4, ring(4), "slack", ticks=1_000_000))
-    run = ("run", "net.yaml", "--distributed", "--workers", "2", "--out", "out", "--no-report")
+def test_orchestrator_that_is_stopped_for_a_while(tmp_path: Path) -> None:
+    """As by Ctrl-Z and fg."""
+    (tmp_path / "net.yaml").write_text(scenario(4, ring(4), "slack", ticks=40))
+    run = ("run", "net.yaml", "--distributed", "--workers", "2", "--out", "out", "--no-report", "--realtime")
     with started(tmp_path, *run) as orchestrator:
         orchestrator.hear("s simulated")
-        others = [child(name, orchestrator.process.pid) for name in ("emulator", "worker-1", "worker-2")]
         orchestrator.signal(signal.SIGSTOP)
-        while not all(ended(pid) for pid in others):
-            os.sched_yield()
+        sleep(3.0)  # longer than a connection to another host may be silent
         orchestrator.signal(signal.SIGCONT)
-        code, _, said = orchestrator.end()
-    assert code == 3
-    assert re.search(r"  the orchestrator itself did not listen for \S+ s before that", said), said
+        orchestrator.succeed()
+    assert manifest(tmp_path / "out")["status"] == "complete"
 
 
 def test_emulator_that_is_stopped_while_ticks_are_released(scratch: Path) -> None:

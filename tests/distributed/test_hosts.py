@@ -217,6 +217,24 @@ def test_the_orchestrator_is_killed(start: Start, tmp_path: Path) -> None:
         assert "error: the orchestrator is gone: " in error
 
 
+def test_the_orchestrator_is_stopped_and_goes_on(start: Start, tmp_path: Path) -> None:
+    """The others are gone by then, and are not the ones to blame."""
+    where = f"unixsock-stream/{tmp_path}/hub"
+    serve = start("s", "serve", "paper_leaders", "--until", "10 h", "--listen", where, "--out", "out", "--no-report")
+    others = [
+        start("e", "emulator", "--connect", where),
+        start("a", "worker", "--connect", where, "--agents", "1..10"),
+    ]
+    serve.hear("s simulated")
+    serve.signal(signal.SIGSTOP)
+    for other in others:
+        assert "error: the orchestrator is gone: " in other.end()[2]
+    serve.signal(signal.SIGCONT)
+    code, _, said = serve.end()
+    assert code == 3
+    assert re.search(r"  the orchestrator itself did not listen for \S+ s before that", said), said
+
+
 def test_a_worker_leaves_while_the_run_goes_on(start: Start, tmp_path: Path) -> None:
     where = f"unixsock-stream/{tmp_path}/hub"
     serve = start("s", "serve", "paper_leaders", "--until", "10 h", "--listen", where, "--out", "out", "--no-report")
