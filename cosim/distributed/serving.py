@@ -138,7 +138,6 @@ def serve(
                 served = machine(endpoint.name, job, whereabouts, planned, logs)
                 hold_back = 0.0 if job.paced else FLUSH_SECONDS
         send(endpoint, served.prepare())
-        gc.freeze()  # what is there stays: it need not be looked through ever again
         gc.enable()
         _carry_out(endpoint, served, hold_back)
     except PeerLost:
