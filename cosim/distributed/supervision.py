@@ -37,8 +37,8 @@ _TELL_SECONDS = 5.0
 _SETTLE_SECONDS = 1.0
 _AHEAD_TICKS = 32
 """Released ticks of a paced run that nobody has got to yet: what is sent to a process that is stopped is bounded."""
-_GAP_SECONDS = 1.5
-"""Others on other hosts take this process for lost if it does nothing for 2 s."""
+_GAP_SECONDS = 4.0
+"""Others on other hosts take this process for lost if it does nothing for 5 s."""
 _LATELY_SECONDS = 5.0
 _FAREWELL_SECONDS = 10.0
 _FAULT_FAREWELL_SECONDS = 1.0
