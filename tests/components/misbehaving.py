@@ -31,13 +31,23 @@ coupling: {{method: {method}, step: 10 ms}}
 """
 
 
-def cosim(folder: Path, *arguments: str, text: str = "") -> subprocess.CompletedProcess[str]:
-    """`cosim …` in `folder`, all its temporary files there too; `text` becomes net.yaml."""
+MEASURE = """
+import resource, subprocess, sys
+code = subprocess.run(sys.argv[1:]).returncode
+with open("largest", "w") as file:
+    file.write(str(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss))
+sys.exit(code)
+"""
+"""Runs a command, and leaves a file with the memory of its largest process in kB."""
+
+
+def cosim(folder: Path, *arguments: str, text: str = "", measured: bool = False) -> subprocess.CompletedProcess[str]:
+    """`cosim …` in `folder`, all its temporary files there too; `text` becomes net.yaml; `measured`: see `MEASURE`."""
     if text:
         (folder / "net.yaml").write_text(text, encoding="utf-8")
     (folder / "tmp").mkdir(exist_ok=True)
     return subprocess.run(
-        [sys.executable, "-m", "cosim", *arguments],
+        [*([sys.executable, "-c", MEASURE] if measured else []), sys.executable, "-m", "cosim", *arguments],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(folder / "tmp")},
         text=True,

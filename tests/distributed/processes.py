@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from network.messages import Fates, Floats
 from tests.distributed.networks import Record
 
 ROOT = Path(__file__).parents[2]
+PATIENCE = 10.0  # s; used up only by a test that fails
 
 
 def command(*arguments: str) -> list[str]:
@@ -57,14 +59,16 @@ def assert_nothing_left(folder: Path) -> None:
 def child(name: str, of: int | None = None) -> int:
     """The process of that name among those that this one, or another, started."""
     above = os.getpid() if of is None else of
-    for path in Path("/proc").glob("[0-9]*"):
-        try:
-            words = (path / "cmdline").read_bytes().split(b"\0")
-            parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
-        except OSError:
-            continue
-        if parent == above and b"_process" in words and name.encode() in words:
-            return int(path.name)
+    deadline = time.monotonic() + PATIENCE
+    while time.monotonic() < deadline:  # on a busy host a process that has just been started may not bear its name yet
+        for path in Path("/proc").glob("[0-9]*"):
+            try:
+                words = (path / "cmdline").read_bytes().split(b"\0")
+                parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
+            except OSError:
+                continue
+            if parent == above and b"_process" in words and name.encode() in words:
+                return int(path.name)
     raise LookupError(name)
 
 
