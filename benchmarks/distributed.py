@@ -14,8 +14,9 @@ to no computation (`benchmarks/averager`), or, in another column, a Python compo
 as all contestants know: netcosim lets so many steps travel together.
 
 Start and warm-up are left out; of netcosim only the start, and the closing of the run folder counts, after ten times as
-many steps. Contestants take turns, and ratios are medians of ratios within a turn. A contestant that fails or exceeds the deadline is stopped with
-all its processes and left out for that shape, with a sentence. Run it from the repository's root, on Linux.
+many steps. Contestants take turns, and ratios are medians of ratios within a turn. A contestant that fails or exceeds
+the deadline is stopped with all its processes and left out for that shape, with a sentence. Run it from the
+repository's root, on Linux.
 """
 
 from __future__ import annotations
