@@ -23,6 +23,24 @@ from network.messages import NEVER, Fate, Fates, Floats, Ints, Mail
 _LARGEST_OBJECT = 2**26  # bytes of JSON
 _LATEST_NS = 2**62
 _MOST_TICKS = 2**20  # in one message
+_REMEMBERED = 64
+
+
+@dataclass(frozen=True)
+class Receivers:
+    """Agents of a block at ticks that follow each other, tick by tick; (n_ticks x n_agents,) each.
+
+    Attributes:
+        number: 0, 1, …
+        tick: from the first one.
+        start_ns: of the tick, from the start of the first one.
+        slots: how many in-neighbours there are.
+    """
+
+    number: Ints
+    tick: Ints
+    start_ns: Ints
+    slots: NDArray[np.uint64]
 
 
 @dataclass(frozen=True)
@@ -49,10 +67,21 @@ class Block:
         """Numbers in the recorded row of the block: those of its agents, one after the other."""
         return sum(self.widths)
 
+    def receivers(self, n_ticks: int) -> Receivers:
+        """The agents, tick by tick; remembered for a few numbers of ticks."""
+        known = self._receivers.get(n_ticks)
+        if known is None:
+            if len(self._receivers) >= _REMEMBERED:
+                self._receivers.clear()
+            tick = np.arange(n_ticks).repeat(len(self))
+            slots = np.tile(np.asarray(self.neighbours, np.uint64), n_ticks)
+            known = Receivers(np.arange(len(tick)), tick, tick * self.period_ns, slots)
+            self._receivers[n_ticks] = known
+        return known
+
     @cached_property
-    def slots(self) -> NDArray[np.uint64]:
-        """`neighbours` as an array."""
-        return np.asarray(self.neighbours, np.uint64)
+    def _receivers(self) -> dict[int, Receivers]:
+        return {}
 
 
 # --- ticks that follow each other, the first being the envelope's ----------------------------------------------------
@@ -85,18 +114,22 @@ def decode_mail(block: Block, envelope: Envelope) -> tuple[int, Mail]:
     reader = _Reader(envelope)
     n_ticks = reader.count(1)
     counts, n = reader.counts(n_ticks * len(block))
-    arrival, slot, stamp = reader.ints(n), reader.ints(n), reader.ints(n)
+    arrival, slot, stamp = reader.ints(3 * n).reshape(3, n)
     values = reader.rest(n * block.width).reshape(n, block.width)
     if n:
         first, period = reader.tick(_LATEST_NS // block.period_ns - n_ticks), block.period_ns
-        receiver = np.arange(len(counts)).repeat(counts)  # of each tick in turn
-        later, agent = np.divmod(receiver, len(block))
-        since = arrival - (later + first) * period
-        reader.check(_magnitude(since) < period, "arrives outside its tick")
-        reader.check(_magnitude(slot) < block.slots[agent], "is from no in-neighbour")
-        reader.check(_magnitude(stamp) <= _magnitude(later + first), "has an impossible stamp")
+        receivers = block.receivers(n_ticks)
+        receiver = receivers.number.repeat(counts)
+        since = arrival - receivers.start_ns[receiver] - first * period
         due = since + receiver * period  # the receivers' periods one after the other
-        reader.check(due[1:] >= due[:-1], "arrives before the one ahead of it")
+        outside = _magnitude(since) >= period
+        foreign = _magnitude(slot) >= receivers.slots[receiver]
+        impossible = _magnitude(stamp) > _magnitude(receivers.tick[receiver] + first)
+        if (outside | foreign | impossible).any() or (due[1:] < due[:-1]).any():
+            reader.check(~outside, "arrives outside its tick")
+            reader.check(~foreign, "is from no in-neighbour")
+            reader.check(~impossible, "has an impossible stamp")
+            reader.check(due[1:] >= due[:-1], "arrives before the one ahead of it")
     ends = np.zeros(len(counts) + 1, np.int64)
     np.cumsum(counts, out=ends[1:])
     return n_ticks, Mail(ends, arrival, slot, stamp, values)
@@ -203,7 +236,7 @@ def _joined(arrays: Sequence[NDArray[Any]], dtype: str) -> list[Part]:
 
 def _magnitude(values: Ints) -> NDArray[np.uint64]:
     """The values as unsigned: negative ones become larger than all others, so that one comparison serves both ends."""
-    return values.astype(np.uint64)
+    return values.view(np.uint64)
 
 
 def _what(envelope: Envelope) -> str:
@@ -275,9 +308,12 @@ class _Reader:
         """(n,) numbers of things, each of which takes at least 8 bytes of what follows, and their sum."""
         counts = self.ints(n)
         most = len(self._envelope.body) // 8
-        if n and (counts.min() < 0 or counts.max() > most or counts.sum() > most):
+        if n and _magnitude(counts).max() > most:  # so that their sum does not overflow
             raise self._fail("announces more than it holds")
-        return counts, int(counts.sum())
+        total = int(counts.sum())
+        if total > most:
+            raise self._fail("announces more than it holds")
+        return counts, total
 
     def check(self, good: NDArray[np.bool_], what: str) -> None:
         """Every message must be `good`."""

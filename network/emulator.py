@@ -36,14 +36,28 @@ class _Samples:
         return len(self._ring)
 
     def append(self, values: Floats) -> None:
-        capacity = len(self._ring)
-        if self.next - self.oldest >= capacity:
-            kept = np.arange(self.oldest, self.next)
-            grown = np.zeros((2 * capacity, *self._ring.shape[1:]))
-            grown[kept % (2 * capacity)] = self._ring[kept % capacity]
-            self._ring = grown
-        self._ring[self.next % len(self._ring)] = values
+        self.place(self.next, slice(None), values[None])
         self.next += 1
+
+    def place(self, first: int, agents: slice | Sequence[int], values: Floats) -> None:
+        """(n_ticks, …, width) of some agents for ticks from `first` on, which need not be whole afterwards."""
+        stop = first + len(values)
+        while stop - self.oldest > len(self._ring):
+            self._grow()
+        at, mask = first, len(self._ring) - 1
+        while at < stop:  # twice where it goes over the end of the ring
+            row = at & mask
+            n = min(stop - at, len(self._ring) - row)
+            self._ring[row : row + n, agents] = values[at - first : at - first + n]
+            at += n
+
+    def _grow(self) -> None:
+        """To twice the size; whatever is in the ring stays, whole or not."""
+        capacity = len(self._ring)
+        kept = np.arange(self.oldest, self.oldest + capacity)
+        grown = np.zeros((2 * capacity, *self._ring.shape[1:]))
+        grown[kept % (2 * capacity)] = self._ring[kept % capacity]
+        self._ring = grown
 
     def rows(self, stamp: Ints, sender: Ints) -> Ints:
         """(n,) which row of the ring has what each sender publishes at each stamp; void once the ring has grown."""
@@ -114,6 +128,22 @@ class Emulator:
         if tick != self._samples.next or self._finished:
             raise EmulatorError(f"samples of tick {tick} came out of turn: {self._expects(self._samples.next)}")
         self._samples.append(values)
+
+    def place(self, first: int, agents: slice | Sequence[int], values: Floats) -> None:
+        """Samples of some agents that come by themselves, before `publish_placed` tells that all are there.
+
+        Args:
+            first: tick of the first ones, not published yet.
+            agents: whose they are.
+            values: (n_ticks, n, width); copied.
+        """
+        if first < self._samples.next or self._finished:
+            raise EmulatorError(f"samples of tick {first} came out of turn: {self._expects(self._samples.next)}")
+        self._samples.place(first, agents, values)
+
+    def publish_placed(self, stop: int) -> None:
+        """The samples of all agents are in place for the ticks before `stop`."""
+        self._samples.next = max(self._samples.next, stop)
 
     @property
     def published(self) -> int:

@@ -11,8 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from cosim.distributed.assignment import (
     ORCHESTRATOR,
     Message,
@@ -55,19 +53,6 @@ class _Station:
     sent: int = 0
 
 
-@dataclass
-class _Samples:
-    """Those of a tick.
-
-    Attributes:
-        values: (n_agents, width).
-        missing: how many workers have not sent theirs.
-    """
-
-    values: Floats
-    missing: int
-
-
 class Emulation:
     """See `cosim.distributed.serving.Machine`.
 
@@ -96,7 +81,6 @@ class Emulation:
             plan.period_ns,
             list(workers.values()),
         )
-        self._samples: dict[int, _Samples] = {}  # of ticks that are not complete
         self.tick = 0
         """Ticks answered."""
         self._granted = 0
@@ -181,31 +165,26 @@ class Emulation:
         if station is None:
             raise WireError(envelope.sender, "it carries no agents, but sent samples")
         first = envelope.expect(Kind.SAMPLES, station.said).tick
-        for tick, samples in enumerate(codec.decode_samples(station.block, envelope), first):
-            if station.replay is not None and not station.replay.says(tick, samples.data):
+        samples = codec.decode_samples(station.block, envelope)
+        if station.replay is not None:
+            self._compare(envelope.sender, station.replay, first, samples)
+        station.said += len(samples)
+        new = samples[max(0, station.samples - first) :]
+        station.samples = max(station.samples, station.said)
+        if len(new) and self.tick < self._plan.ticks:  # with slack, the last samples are of no consequence
+            self._emulator.place(station.said - len(new), rows_of(station.agents), new)
+            self._emulator.publish_placed(min(other.samples for other in self._stations.values()))
+
+    @staticmethod
+    def _compare(sender: str, replay: Replay, first: int, samples: Floats) -> None:
+        """What a worker says must be what whom it replaces has said."""
+        for tick, of_tick in enumerate(samples, first):
+            if not replay.says(tick, of_tick.data):
                 raise WireError(
-                    envelope.sender,
+                    sender,
                     f"the samples of tick {tick} are not those of the worker that it replaces: a component gives "
                     "another result when it is run again; run with 'on_worker_loss: abort'",
                 )
-            station.said += 1
-            if tick >= station.samples:
-                station.samples += 1
-                self._keep(tick, station, samples)
-
-    def _keep(self, tick: int, station: _Station, samples: Floats) -> None:
-        """Put a worker's samples where they belong; publish a tick that becomes complete."""
-        if self.tick == self._plan.ticks:  # with slack, the last samples are of no consequence
-            return
-        if tick not in self._samples:
-            values = np.empty((len(self._plan.agents), self._plan.layout.width))
-            self._samples[tick] = _Samples(values, len(self._stations))
-        kept = self._samples[tick]
-        kept.values[rows_of(station.agents)] = samples
-        kept.missing -= 1
-        if not kept.missing:  # whoever sent these has sent those of all ticks before
-            self._emulator.publish(tick, kept.values)
-            del self._samples[tick]
 
     def _take_external(self, envelope: Envelope) -> None:
         """Keep what was taken from outside at a tick until its mail is sent."""
