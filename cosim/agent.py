@@ -14,6 +14,7 @@ from cosim.errors import ComponentError, RunError
 from cosim.mailbox import Updates
 from cosim.memory import LoopState
 from cosim.plan import AgentPlan
+from cosim.step_control import StepAccount
 from cosim.wiring import Wiring
 from network.units import format_duration
 
@@ -93,6 +94,10 @@ class Agent:
             self._loop.advance(tick * self._period_ns, (tick + 1) * self._period_ns, updates, index)
         except ComponentError as error:
             raise self.failure(error) from error
+
+    def account(self) -> StepAccount | None:
+        """What became of its steps, where they are controlled."""
+        return None if self._loop.control is None else self._loop.control.account(self.plan.name)
 
     def terminate(self) -> None:
         """End all components; safe after a failure, and twice."""

@@ -23,6 +23,7 @@ from cosim.logs import NO_LOGS, Logs
 from cosim.mailbox import Mailboxes, Updates
 from cosim.memory import LoopMemory
 from cosim.plan import AgentPlan, Loop, Plan
+from cosim.step_control import StepAccount
 from cosim.wiring import Wirings
 from network.messages import Ints, Mail
 
@@ -190,6 +191,10 @@ class Agents:
             return mail
         n = len(self._agents)
         return mail.of([tick * n + agent for tick in range(n_ticks) for agent in self._by_themselves])
+
+    def accounts(self) -> list[StepAccount]:
+        """What became of the steps of those agents whose steps are controlled."""
+        return [account for agent in self._agents if (account := agent.account()) is not None]
 
     def terminate(self) -> None:
         """End all components; safe after a failure, and twice."""

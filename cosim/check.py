@@ -122,6 +122,10 @@ def _component(component: ComponentPlan) -> str:
 def _coupling(coupling: CouplingPlan) -> str:
     integrator = f", {coupling.integrator}" if coupling.method is Method.JOINT else ""
     loop = "native loop" if coupling.loop is Loop.NATIVE else "Python loop"
+    if (control := coupling.control) is not None:
+        how = "step doubling" if control.rollback else "by the change of the inputs: not all can save their state"
+        least, largest = format_duration(control.least_ns), format_duration(coupling.step_ns)
+        return f"{coupling.method}, {least} to {largest} for {control.relative_tolerance:g} ({how}), {loop}"
     grid = ", arrivals wait for the end of a step" if coupling.grid else ""
     return f"{coupling.method}{integrator}, {format_duration(coupling.step_ns)}, {loop}{grid}"
 

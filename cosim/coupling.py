@@ -16,6 +16,8 @@ step. Over a micro step from t to t + h:
   with their outputs at t, the second with those at t + h: their mean is right to second order, and its own outputs at
   t + h see the inputs at t + h, so that direct feedthrough costs no order. It needs no optional FMI capability.
 
+With a tolerance, `cosim.step_control` chooses how long the steps of the last three are.
+
 A component with a micro step of its own makes several in each of these steps, its inputs held.
 """
 
@@ -36,6 +38,7 @@ from cosim.errors import ComponentError
 from cosim.mailbox import Updates
 from cosim.memory import LoopState
 from cosim.plan import CouplingPlan, Integrator, Method
+from cosim.step_control import StepControl
 from cosim.transfers import Direction, Transfer
 from cosim.wiring import AlgebraicLoop, Wiring, takes_in_event_mode
 from network.units import NANOSECONDS_PER_SECOND, to_seconds
@@ -62,6 +65,8 @@ class PythonLoop:
             Method.GAUSS_SEIDEL: self._gauss_seidel,
             Method.MIDPOINT: self._midpoint,
         }.get(coupling.method)
+        control = coupling.control
+        self.control = None if control is None else StepControl(control, coupling, wiring, components, state)
         ends = np.cumsum([0, *(component.n_states for component in components)])
         self._states = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
         self._discrete = [takes_in_event_mode(component, wiring.inputs[c]) for c, component in enumerate(components)]
@@ -191,7 +196,10 @@ class PythonLoop:
         """From one event to the next, breaking at time events of the components."""
         if self._step is not None:
             if start_ns < end_ns:
-                self._step_components(self._step, start_ns, end_ns)
+                if self.control is not None:
+                    self.control.advance(self._step, start_ns, end_ns)
+                else:
+                    self._step_components(self._step, start_ns, end_ns)
             return
         events, since_ns = 0, start_ns
         while start_ns < end_ns:

@@ -17,7 +17,7 @@ import numpy as np
 from cosim.components.component import Floats
 from cosim.errors import CosimError
 from cosim.inline import run
-from cosim.plan import CouplingPlan, Integrator, Method, Plan
+from cosim.plan import CouplingPlan, Plan
 from cosim.recording.columns import arriving_names
 from network.messages import Fates
 from network.units import format_duration
@@ -51,11 +51,7 @@ class AgentError:
 
 def order(coupling: CouplingPlan) -> int | None:
     """Of convergence, where the step is fixed and can be halved."""
-    if coupling.grid:
-        return None
-    if coupling.method is Method.JOINT:
-        return {Integrator.EULER: 1, Integrator.RK4: 4}.get(coupling.integrator)
-    return 2 if coupling.method is Method.MIDPOINT else 1
+    return None if coupling.grid or coupling.control else coupling.order
 
 
 class Estimate:

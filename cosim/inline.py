@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import accumulate, pairwise
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from cosim.agents import Agents
 from cosim.components.component import Floats
@@ -13,6 +13,7 @@ from cosim.logs import NO_LOGS, Logs
 from cosim.master import Emulate, Master
 from cosim.pacing import Pacer
 from cosim.plan import Plan
+from cosim.step_control import StepAccount
 from network.channel import ChannelError
 from network.emulator import Emulator
 from network.messages import Fates
@@ -64,6 +65,21 @@ def tell(
                 observer.fates(fates.between(begin, end))
 
 
+@runtime_checkable
+class StepObserver(Protocol):
+    """An observer that wants to know what became of the steps, where they are controlled."""
+
+    def steps(self, accounts: Sequence[StepAccount]) -> None:
+        """At the end of a run, however it ends: agent by agent."""
+
+
+def tell_of_steps(observers: Sequence[object], accounts: Sequence[StepAccount]) -> None:
+    """Tell those that want to know, if there is anything."""
+    for observer in observers if accounts else ():
+        if isinstance(observer, StepObserver):
+            observer.steps(accounts)
+
+
 class Interrupted(Exception):  # noqa: N818 - it is a request, not an error
     """Somebody asked the run to stop; everything observed so far is complete up to this tick."""
 
@@ -102,6 +118,7 @@ def run(  # noqa: PLR0917
     except ChannelError as error:
         raise NetworkError(str(error)) from error
     finally:
+        tell_of_steps(observers, agents.accounts())
         agents.terminate()
 
 

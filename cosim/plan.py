@@ -51,14 +51,34 @@ class Loop(StrEnum):
 
 
 @dataclass(frozen=True)
+class ControlPlan:
+    """Steps of a Co-Simulation coupling that keep to a tolerance; see `cosim.step_control`.
+
+    Attributes:
+        relative_tolerance: for the error of a step in a connected output, in parts of its size.
+        absolute_tolerance: what is allowed beside that, in the output's unit.
+        least_ns: no step is shorter, unless the next event comes sooner.
+        period_ns: T.
+        rollback: whether all components can save their state, so that a step can be made again.
+    """
+
+    relative_tolerance: float
+    absolute_tolerance: float
+    least_ns: int
+    period_ns: int
+    rollback: bool
+
+
+@dataclass(frozen=True)
 class CouplingPlan:
-    """Micro step in nanoseconds (the largest one, for the adaptive pair) and tolerances.
+    """Micro step in nanoseconds (the largest one, where steps adapt) and tolerances.
 
     Attributes:
         grid: every micro step has this length, because a component accepts no other: an arrival waits for the end of
             the one it falls into.
         retries: how often a step that a component discards is tried again in halves.
         parts: per component, how many steps of its own it makes in a micro step; empty where each makes one.
+        control: what the steps of a Co-Simulation coupling keep to; None where they are fixed.
     """
 
     method: Method
@@ -70,6 +90,14 @@ class CouplingPlan:
     grid: bool = False
     retries: int = 0
     parts: tuple[int, ...] = ()
+    control: ControlPlan | None = None
+
+    @property
+    def order(self) -> int | None:
+        """Of convergence; None for an integrator that adapts its step."""
+        if self.method is Method.JOINT:
+            return {Integrator.EULER: 1, Integrator.RK4: 4}.get(self.integrator)
+        return 2 if self.method is Method.MIDPOINT else 1
 
     def parts_of(self, component: int, *, halved: bool = False) -> int:
         """How many steps a component makes in a micro step, or in half of one."""

@@ -26,6 +26,7 @@ from cosim.pacing import Overrun, Pacer, precise_timers
 from cosim.plan import Plan
 from cosim.progress import Disagreement, Progress, say
 from cosim.recording.recorder import Recorder
+from cosim.step_control import StepAccount, manifest
 from cosim.stopping import StopRequest
 from network.messages import Fates
 
@@ -88,7 +89,7 @@ def record(args: argparse.Namespace, plan: Plan, way: Way, *, here: bool = False
     estimate = Estimate(plan) if getattr(args, "estimate_error", False) else None
     play, details = way(args, plan, pacer, folder, tell)
     recorder = Recorder(plan, folder, details)
-    summary = _Summary(plan, pacer)
+    summary = _Summary(plan, pacer, recorder)
     stop = StopRequest()
     with (
         _native_output(folder, here=here),
@@ -236,10 +237,12 @@ def _close_after(error: BaseException, recorder: Recorder) -> None:
 
 
 class _Summary:
-    """An observer that keeps the last row, for the lines at the end."""
+    """An observer that keeps what the lines at the end say."""
 
-    def __init__(self, plan: Plan, pacer: Pacer | None) -> None:
+    def __init__(self, plan: Plan, pacer: Pacer | None, recorder: Recorder) -> None:
         self._plan = plan
+        self._recorder = recorder
+        self._accounts: Sequence[StepAccount] = []
         self._pacer = pacer
         self._started = time.perf_counter()
         self._row: Floats = np.empty(0)
@@ -249,6 +252,10 @@ class _Summary:
 
     def fates(self, fates: Fates) -> None:
         """Not needed."""
+
+    def steps(self, accounts: Sequence[StepAccount]) -> None:
+        self._accounts = accounts
+        self._recorder.add({"step_control": manifest(accounts)})
 
     def show(self, folder: Path, digest: str, bridge: Bridge | None, estimate: Estimate | None) -> None:
         """Say what was done, where it is, and how far the agents are from agreeing."""
@@ -261,6 +268,9 @@ class _Summary:
         if estimate is not None:
             worst = max(estimate.errors(), key=lambda error: error.relative, default=None)
             print(f"  coupling error           {'nothing is recorded' if worst is None else f'about {worst}'}")
+        if self._accounts:
+            worst_steps = max(self._accounts, key=lambda account: account.ratio)
+            print(f"  steps of agent {worst_steps.agent:<10}{worst_steps}")
         for i, line in enumerate(bridge.account() if bridge is not None else ()):
             print(f"  {'' if i else 'bridge':<25}{line}")
         if self._pacer is not None:

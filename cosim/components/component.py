@@ -211,6 +211,9 @@ class Component(ABC):
         raise NotImplementedError
 
     # --- Co-Simulation ----------------------------------------------------------------------------------------------
+    goes_back: bool = False
+    """Whether the state before the next step may be restored afterwards."""
+
     uses_events: bool = False
     """Whether it has an Event Mode (FMI 3.0, 4.2): initialisation ends there, and discrete inputs are set there."""
 

@@ -18,9 +18,10 @@ from cosim.distributed.replacement import History, Moment
 from cosim.distributed.standing import Standing, carried
 from cosim.distributed.survey import Lost, Survey
 from cosim.errors import ClusterError, CosimError
-from cosim.inline import Observer, Take, tell
+from cosim.inline import Observer, Take, tell, tell_of_steps
 from cosim.master import Finish, Master
 from cosim.plan import Plan
+from cosim.step_control import StepAccount
 from network import codec
 from network.codec import Block, encode_object
 from network.messages import Exchange, Floats, Ints, Mail
@@ -113,6 +114,9 @@ class Orchestration:
         self._over = False
         self.recorded = -1
         """The last tick that the observers have seen."""
+        self._recorded_all = False
+        self._controlled = {agent.name for agent in plan.agents if agent.coupling.control is not None}
+        self._accounts: dict[str, StepAccount] = {}
         self.finished = False
 
     @property
@@ -186,7 +190,9 @@ class Orchestration:
                 self._take_position(envelope)
             case Kind.REPLACE:
                 self._take_expectation(envelope)
-            case Kind.DONE | Kind.BYE:
+            case Kind.DONE:
+                self._take_account(envelope)
+            case Kind.BYE:
                 pass
             case _:
                 raise WireError(envelope.sender, f"a {envelope.kind.name} is nothing for the orchestrator")
@@ -194,6 +200,7 @@ class Orchestration:
             return []
         if self._granted >= 0:
             self._record()
+        self._finish()
         self._raise_failure()
         return self._grant()
 
@@ -244,6 +251,17 @@ class Orchestration:
         elif envelope.sender in self._carriers:
             self._carriers[envelope.sender].tick = position.tick
 
+    def _take_account(self, envelope: Envelope) -> None:
+        """A process has done its part; a worker says what became of steps that are controlled."""
+        if envelope.sender not in self._carriers or not len(envelope.body):
+            return
+        try:
+            told = codec.decode_object(envelope).get("steps")
+            accounts = [StepAccount.of(one) for one in told if isinstance(one, dict)] if isinstance(told, list) else []
+        except ValueError as error:
+            raise WireError(envelope.sender, f"what it says of its steps cannot be read: {error}") from None
+        self._accounts |= {account.agent: account for account in accounts}
+
     def _take_expectation(self, envelope: Envelope) -> None:
         """The emulator expects a replacement."""
         name = str(codec.decode_object(envelope).get("new"))
@@ -256,7 +274,7 @@ class Orchestration:
     # --- what comes of it -------------------------------------------------------------------------------------------
     def _record(self) -> None:
         """Tell the observers of all that is complete, in order."""
-        while not self.finished:
+        while not self._recorded_all:
             if not self._rows_done:
                 if not all(carrier.rows for carrier in self._carriers.values()):
                     return
@@ -269,10 +287,18 @@ class Orchestration:
             for observer in self._observers:
                 observer.fates(fates)
             if self._over:
-                self.finished = True
+                self._recorded_all = True
             else:
                 self._master.exchanged(Exchange(self._master.tick, _NO_MAIL, fates))
                 self._rows_done = False
+
+    def _finish(self) -> None:
+        """All is recorded, and all accounts of steps are there."""
+        if self.finished or not self._recorded_all or not self._controlled <= self._accounts.keys():
+            return
+        names = [agent.name for agent in self._plan.agents]
+        tell_of_steps(self._observers, [self._accounts[name] for name in names if name in self._accounts])
+        self.finished = True
 
     def _record_course(self) -> bool:
         """Tell them of all ticks of which rows and fates are there, if there are several before the last."""

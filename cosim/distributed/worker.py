@@ -18,6 +18,7 @@ from cosim.distributed.failure import INITIALISING, OPENING, Failure
 from cosim.errors import ConfigError, RunError
 from cosim.logs import NO_LOGS, Logs
 from cosim.plan import AgentPlan, Plan
+from cosim.step_control import manifest
 from network import codec
 from network.messages import Floats, Ints, Mail
 from network.transport import Envelope, Kind, WireError
@@ -179,7 +180,12 @@ class Worker:
             messages.append(Message(EMULATOR, Kind.SAMPLES, first, codec.encode_samples(self._wire, samples)))
         if over or sum(map(len, self._rows)) >= self._batch_ticks:
             messages += self.flush()
-        return [*messages, Message(ORCHESTRATOR, Kind.DONE, self.tick)] if over else messages
+        return [*messages, self._done()] if over else messages
+
+    def _done(self) -> Message:
+        """The last tick is behind it; what became of its agents' steps, where they are controlled."""
+        accounts = manifest(self._opened.accounts())
+        return Message(ORCHESTRATOR, Kind.DONE, self.tick, codec.encode_object({"steps": accounts}) if accounts else ())
 
     def _position(self, question: int) -> Message:
         """How far it is, for the account of a fault; all that it has published is sent."""

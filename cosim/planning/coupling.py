@@ -7,13 +7,17 @@ from dataclasses import replace
 
 from cosim.components.component import Description, Interface
 from cosim.errors import Location
-from cosim.plan import AgentPlan, CouplingPlan, Integrator, Loop, Method
+from cosim.plan import AgentPlan, ControlPlan, CouplingPlan, Integrator, Loop, Method
 from cosim.planning.problems import Problems
 from cosim.planning.steps import choose_step, own_steps, plan_parts
 from cosim.scenario.reading import AgentEntry
 from cosim.scenario.source import Node
 from cosim.scenario.spec import CouplingSpec
 from cosim.wiring import AlgebraicLoop
+from network.units import format_duration
+
+_ABSOLUTE_TOLERANCE = 1e-10
+_LEAST_STEP_NS = 1_000
 
 
 def choose_coupling(
@@ -42,8 +46,9 @@ def choose_coupling(
         problems.error(
             f"{why}: {_quoted(lacking)} {'does' if len(lacking) == 1 else 'do'} not offer {_words(wanted)}", where
         )
+    control = _control(entry, descriptions, method, period_ns, problems)
     retries = 0 if method is Method.JOINT else spec.retries
-    loop = _loop(spec, node, _in_python(entry, descriptions, method, retries), problems)
+    loop = _loop(spec, node, _in_python(entry, descriptions, method, retries, control), problems)
     unsaved = [name for name, description in descriptions.items() if not description.can_get_and_set_state]
     if retries and unsaved:
         problems.error(
@@ -54,14 +59,67 @@ def choose_coupling(
     demands = own_steps(descriptions, readers if method is Method.MIDPOINT else frozenset())
     if method is Method.JOINT:
         demands = {}
+    if control is not None and demands:
+        problems.error(
+            f"'tolerance' chooses steps of any length, and {_quoted(demands)} "
+            f"{'takes' if len(demands) == 1 else 'take'} those of one length only (fixedInternalStepSize, or no "
+            "canHandleVariableCommunicationStepSize); leave 'tolerance' out, and try `cosim run --estimate-error`",
+            node.locate("coupling", "tolerance"),
+        )
+        return None
     steps = {name: component.step for name, component in entry.spec.components.items() if component.step is not None}
     slowest_ns = max(steps.values(), default=0)
+    if control is not None and steps:
+        problems.error(
+            f"'tolerance' chooses the steps of all components together; leave 'step' out of {_quoted(steps)}",
+            node.locate("components", next(iter(steps)), "step"),
+        )
+        return None
     step_ns = None if lacking else choose_step(spec, method, node, demands, period_ns, problems, slowest_ns)
     if step_ns is None:
         return None
-    tolerances = spec.relative_tolerance, spec.absolute_tolerance
+    if control is not None and spec.least_step is not None and spec.least_step > step_ns:
+        problems.error(
+            f"'least_step' is {format_duration(spec.least_step)}, longer than the largest step, "
+            f"{format_duration(step_ns)}; write a shorter one",
+            node.locate("coupling", "least_step"),
+        )
+    tolerances = spec.relative_tolerance, spec.absolute_tolerance or _ABSOLUTE_TOLERANCE
     parts = plan_parts(entry, steps, step_ns, method, demands, problems)
-    return CouplingPlan(method, step_ns, Integrator(spec.integrator), *tolerances, loop, bool(demands), retries, parts)
+    integrator = Integrator(spec.integrator)
+    return CouplingPlan(method, step_ns, integrator, *tolerances, loop, bool(demands), retries, parts, control)
+
+
+def _control(
+    entry: AgentEntry, descriptions: Mapping[str, Description], method: Method, period_ns: int, problems: Problems
+) -> ControlPlan | None:
+    """What the steps keep to, where they are controlled."""
+    spec, node = entry.spec.coupling, entry.node
+    if spec.tolerance is None:
+        if spec.least_step is not None:
+            problems.error(
+                "'least_step' bounds the steps that 'tolerance' chooses; give that too, or leave it out",
+                node.locate("coupling", "least_step"),
+            )
+        return None
+    if method is Method.JOINT:
+        problems.error(
+            "'tolerance' is for the couplings of Co-Simulation, and this is joint; write `method: midpoint`, or "
+            f"`integrator: dormand-prince, relative_tolerance: {spec.tolerance:g}` instead of it",
+            node.locate("coupling", "tolerance"),
+        )
+        return None
+    components = entry.spec.components.values()
+    rollback = all(x.can_get_and_set_state and not x.asynchronous for x in descriptions.values()) and all(
+        component.isolate is None and component.solver is None for component in components
+    )
+    return ControlPlan(
+        relative_tolerance=spec.tolerance,
+        absolute_tolerance=spec.absolute_tolerance or spec.tolerance,
+        least_ns=spec.least_step or _LEAST_STEP_NS,
+        period_ns=period_ns,
+        rollback=rollback,
+    )
 
 
 def _auto(descriptions: Mapping[str, Description]) -> Method:
@@ -107,7 +165,11 @@ def solving(
 
 
 def _in_python(
-    entry: AgentEntry, descriptions: Mapping[str, Description], method: Method, retries: int
+    entry: AgentEntry,
+    descriptions: Mapping[str, Description],
+    method: Method,
+    retries: int,
+    control: ControlPlan | None,
 ) -> dict[str, str]:
     """The components that the native loop cannot run, and why: `'plant' is Python`."""
     found = {name: f"{name!r} is Python" for name, description in descriptions.items() if description.fmi == "python"}
@@ -123,6 +185,8 @@ def _in_python(
             found[name] = f"{name!r} steps asynchronously (canRunAsynchronuously)"
         elif retries:
             found[name] = f"{name!r} is to be saved before every step ('retries')"
+        elif control is not None:
+            found[name] = f"{name!r} steps as long as the errors allow ('tolerance')"
     return found
 
 

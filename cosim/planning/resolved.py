@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import Any
 
 from cosim.components.component import Value, Variable
-from cosim.plan import EXTERNAL, AgentPlan, Loop, Workers
+from cosim.plan import EXTERNAL, AgentPlan, CouplingPlan, Loop, Workers
 from cosim.planning.blueprint import Blueprint, Part
 from cosim.planning.describing import is_file
 from cosim.planning.graph import Edge
@@ -126,10 +126,23 @@ def _common(agent: AgentPlan, blueprint: Blueprint) -> Tree:
             "relative_tolerance": coupling.relative_tolerance,
             "absolute_tolerance": coupling.absolute_tolerance,
         }
+        | _controlled(coupling)
         | ({"retries": coupling.retries} if coupling.retries else {})
         | ({"loop": str(coupling.loop)} if spec.coupling.loop or coupling.loop is Loop.PYTHON else {}),
     }
     return {key: value for key, value in tree.items() if value or key == "record"}
+
+
+def _controlled(coupling: CouplingPlan) -> Tree:
+    """What the steps keep to, where they adapt."""
+    control = coupling.control
+    if control is None:
+        return {}
+    return {
+        "tolerance": control.relative_tolerance,
+        "absolute_tolerance": control.absolute_tolerance,
+        "least_step": format_duration(control.least_ns),
+    }
 
 
 def _component(part: Part, spec: ComponentSpec) -> Tree:

@@ -85,12 +85,15 @@ def choose_step(  # noqa: PLR0917
         slowest_ns: the longest step that a component is given of its own.
     """
     where, period = node.locate("coupling", "step"), format_duration(period_ns)
+    controlled = spec.tolerance is not None
     unit_ns = math.lcm(*(demand.unit_ns for demand in demands.values()))
     if period_ns % unit_ns:
         fitting = [format_duration(n * unit_ns) for n in (period_ns // unit_ns, period_ns // unit_ns + 1) if n]
         reason = _why(demands, unit_ns)
         problems.error(f"{reason}, and the period {period} is no multiple of that; {' or '.join(fitting)} is", where)
         return None
+    if spec.step is None and controlled:
+        return period_ns
     if spec.step is None:
         usual = max(_usual(method, demands), slowest_ns)
         fitting_ns = _fitting(period_ns, unit_ns, usual)
@@ -101,7 +104,7 @@ def choose_step(  # noqa: PLR0917
     if spec.step > period_ns:
         problems.error(f"the step {step} is longer than the period {period}", where)
         return None
-    adaptive = method is Method.JOINT and spec.integrator == "dormand-prince"
+    adaptive = controlled or (method is Method.JOINT and spec.integrator == "dormand-prince")
     if period_ns % spec.step and not adaptive:
         problems.error(f"the step {step} does not divide the period {period}{_hint(period_ns, unit_ns, spec)}", where)
         return None

@@ -12,9 +12,13 @@ import numpy as np
 from cosim.reporting.words import NOTHING, Rows, number
 from cosim.results import Results
 from cosim.scenario.names import in_short
+from cosim.step_control import StepAccount
 from cosim.theory import mu, published_bound
 from cosim.topology import kappa, reached_by, roots
 from network.units import to_seconds
+
+_MOST_AGENTS = 5
+"""So many are told of with their steps."""
 
 
 def outcome(results: Results) -> Rows:
@@ -27,6 +31,7 @@ def outcome(results: Results) -> Rows:
         ("Status", manifest["status"]),
         ("Seed", str(manifest["seed"])),
         *_coupling_error(manifest),
+        *_steps(manifest),
         ("Simulated", f"{manifest['simulated_s']:g} s" + ("" if whole else f" of {_planned(results):g} s")),
         (
             "Ticks",
@@ -77,6 +82,12 @@ def _coupling_error(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
     worst = max(errors, key=lambda error: error["relative"])
     said = f"about {worst['error']:.2g} in {worst['variable']} of agent {worst['agent']}"
     return [("Coupling error", f"{said}, {100 * worst['relative']:.2g} % of its range")]
+
+
+def _steps(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What became of the steps of each agent whose steps are controlled; of many, those with the largest errors."""
+    accounts = sorted(manifest.get("step_control", ()), key=lambda account: -account["ratio"])
+    return [(f"Steps of agent {account['agent']}", str(StepAccount(**account))) for account in accounts[:_MOST_AGENTS]]
 
 
 def realtime(results: Results) -> Rows:

@@ -283,7 +283,17 @@ class CouplingSpec(Spec):
         description="For joint; dormand-prince adapts its step, euler (order 1) reproduces what other tools do.",
     )
     relative_tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(1e-8, description="For dormand-prince.")
-    absolute_tolerance: Annotated[float, Field(gt=0, lt=math.inf)] = Field(1e-10, description="For dormand-prince.")
+    absolute_tolerance: Annotated[float, Field(gt=0, lt=math.inf)] | None = Field(
+        None, description="For dormand-prince, by default 1e-10; beside 'tolerance', by default as that."
+    )
+    tolerance: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        None,
+        description="Co-Simulation: steps as long as the estimated error of each in every connected output stays below "
+        "this part of its size, plus absolute_tolerance; 'step' is then the largest, by default the period.",
+    )
+    least_step: PositiveDuration | None = Field(
+        None, description="The shortest step that 'tolerance' may ask for; by default 1 us."
+    )
     retries: Annotated[int, Field(ge=0, le=30)] = Field(
         0,
         description="Co-Simulation: how often a step that an FMU discards is tried again in halves, one into another. "

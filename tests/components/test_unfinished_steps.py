@@ -10,7 +10,10 @@ import pytest
 from cosim.components.component import Interface
 from cosim.components.fmu import FmuComponent, component, describe, open_fmu
 from cosim.errors import ComponentError, DiscardedStepError
-from tests.components.probe import description2, write_fmu
+from cosim.inline import run
+from tests.accuracy.test_step_control import Accounted
+from tests.components.probe import description2, description3, write_fmu
+from tests.distributed.networks import planned
 
 Open = Callable[[Path, str], FmuComponent]
 
@@ -64,6 +67,27 @@ def test_halves_have_a_limit(opened: Open, probes: dict[int, Path], fmi: int) ->
 def test_other_failures_are_not_tried_again(opened: Open, probes: dict[int, Path], fmi: int) -> None:
     with pytest.raises(ComponentError, match="returned Error"):
         opened(probes[fmi], "step_error").step_in_halves(0.0, 0.01, 5)
+
+
+@pytest.mark.parametrize(("fmi", "capability"), [(2, "canGetAndSetFMUstate"), (3, "canGetAndSetFMUState")])
+def test_step_control_makes_a_discarded_step_shorter(
+    fmi: int, capability: str, probe_library: Path, tmp_path: Path
+) -> None:
+    """The probe makes steps up to 3 ms; a step of the control is two of half the length, but also one of the whole."""
+    text = description2() if fmi == 2 else description3()
+    text = text.replace("modelIdentifier=", f'{capability}="true" modelIdentifier=')
+    path = write_fmu(tmp_path / "probe.fmu", probe_library, text)
+    plan = planned(
+        "period: 100 ms\nduration: 500 ms\nagents:\n  1:\n"
+        f"    components: {{probe: {{fmu: {path}, start: {{fails: step_discards_long}}}}}}\n"
+        "    record: [probe.x]\ncoupling: {method: midpoint, tolerance: 1e-6}\n"
+    )
+    seen = Accounted()
+    run(plan, [seen])
+    assert [row[0] for row in seen.rows] == pytest.approx([1.0 + k for k in range(6)])
+    (account,) = seen.accounts
+    assert account.longest <= 0.003
+    assert account.rejected > 0
 
 
 # --- Pending ----------------------------------------------------------------------------------------------------------

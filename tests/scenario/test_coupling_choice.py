@@ -7,7 +7,7 @@ import pytest
 
 from cosim.components.component import Description, Interface
 from cosim.errors import ConfigError, Severity
-from cosim.plan import CouplingPlan, Loop, Method
+from cosim.plan import ControlPlan, CouplingPlan, Loop, Method
 from cosim.planning.coupling import choose_coupling
 from cosim.planning.problems import Problems
 from cosim.scenario.reading import AgentEntry
@@ -96,6 +96,30 @@ def test_what_cannot_be(text: str, descriptions: list[Description], sentence: st
     _, errors, _ = choose(text, *descriptions)
     assert len(errors) == 1
     assert sentence in errors[0]
+
+
+@pytest.mark.parametrize(
+    ("plant", "rollback"),
+    [
+        ({"can_get_and_set_state": True}, True),
+        ({}, False),
+        ({"can_get_and_set_state": True, "asynchronous": True}, False),
+    ],
+)
+def test_steps_are_taken_back_where_all_can_save_their_state(plant: dict[str, bool], *, rollback: bool) -> None:
+    saves = describe(CS, can_get_and_set_state=True)
+    found, errors, _ = choose("{tolerance: 1e-5, least_step: 10 us}", describe(CS, **plant), saves)
+    assert errors == []
+    assert found is not None
+    assert found.control == ControlPlan(1e-5, 1e-5, 10_000, PERIOD, rollback)
+    assert (found.step_ns, found.loop, found.grid) == (PERIOD, Loop.PYTHON, False)
+
+
+@pytest.mark.parametrize("fixed", [{"variable_step": False}, {"internal_step": 0.001}])
+def test_steps_of_one_length_cannot_keep_to_a_tolerance(fixed: dict[str, Any]) -> None:
+    _, errors, _ = choose("{tolerance: 1e-5}", describe(CS, **fixed), describe(CS))
+    assert len(errors) == 1
+    assert "'tolerance' chooses steps of any length, and 'plant' takes those of one length only" in errors[0]
 
 
 @pytest.mark.parametrize(

@@ -219,15 +219,12 @@ class FmuComponent(Component):
                 self._end(running=self._initialised and not self._failed)
 
     # --- Co-Simulation ----------------------------------------------------------------------------------------------
-    _goes_back = False
-    """Whether the state before the step under way may be restored."""
-
     def step_in_halves(self, time: float, step: float, halvings: int) -> None:
-        self._goes_back = True
+        before, self.goes_back = self.goes_back, True
         try:
             self._step_in_halves(time, step, halvings)
         finally:
-            self._goes_back = False
+            self.goes_back = before
 
     def _step_in_halves(self, time: float, step: float, halvings: int) -> None:
         if self._try_step(time, step, last=halvings == 0):
@@ -376,7 +373,7 @@ class Fmi2Component(FmuComponent):
     def step(self, time: float, step: float) -> None:
         self.require_usable()
         try:
-            self._fmu.fmi2DoStep(self._instance, time, step, 0 if self._goes_back else 1)
+            self._fmu.fmi2DoStep(self._instance, time, step, 0 if self.goes_back else 1)
         except FMICallException as error:
             if error.status != PENDING or not self.description.asynchronous:
                 raise self.failure("fmi2DoStep", error.status) from None
@@ -517,7 +514,7 @@ class Fmi3Component(FmuComponent):
         """Whether events are to be handled, whether it returned early, and the time reached."""
         self.require_usable()
         try:
-            needed, stop, early, reached = self._fmu.doStep(time, step, not self._goes_back)
+            needed, stop, early, reached = self._fmu.doStep(time, step, not self.goes_back)
         except FMICallException as error:
             raise self.failure("fmi3DoStep", error.status) from None
         if stop:

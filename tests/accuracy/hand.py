@@ -1,0 +1,16 @@
+"""A controller in Python, which cannot save its state."""
+
+from __future__ import annotations
+
+from cosim.components.python import Input, Output, PythonComponent
+
+
+class Hand(PythonComponent):
+    """u = 20 (0.4 - p) - 3 v."""
+
+    p = Input(shape=(1,), unit="m")
+    v = Input(shape=(1,), unit="m/s")
+    u = Output(shape=(1,), unit="N", depends_on=("p", "v"))
+
+    def outputs(self, time: float) -> None:
+        self.u = 20.0 * (0.4 - self.p) - 3.0 * self.v
