@@ -114,6 +114,12 @@ class Agent:
         if "not finite" not in f"{error.message} {error.log}":
             return ""
         coupling = self.plan.coupling
+        if coupling.control is not None:
+            tolerance = coupling.control.relative_tolerance
+            return (
+                f"; either the scenario is unstable, or a tolerance of {tolerance:g} is too large for the coupling "
+                f"{coupling.method}: try `--set coupling.tolerance={tolerance / 100:g}`"
+            )
         step, shorter = format_duration(coupling.step_ns), format_duration(coupling.step_ns // 10)
         return (
             f"; either the scenario is unstable, or a step of {step} is too long for the coupling {coupling.method}: "

@@ -164,6 +164,8 @@ class PythonLoop:
             self._iterate_events()
         elif listen:
             self._leave_events()
+            if self.control is not None:
+                self.control.jump()
 
     def _leave_events(self) -> None:
         """Co-Simulation: from Event Mode, where there is one, to Step Mode."""

@@ -7,7 +7,8 @@ are kept. A step whose error exceeds the tolerance is taken back and made shorte
 
 Without saved states nothing is taken back. Half the difference between what the outputs are at the end of a step and
 what the others were given for that instant (held, or extrapolated by `midpoint`) is the mean error of their inputs; it
-is taken to act upon their outputs over the step, at a rate of one per period. It only says how long the next step is.
+is taken to act upon their outputs over the step, at a rate of one per period. It only says how long the next step is,
+so that the first one after an arrival, where inputs may jump, is the shortest.
 
 Steps are whole nanoseconds, and depend on nothing but the values: runs stay the same wherever they run. They never go
 beyond the next event. Where an output jumps, no step is short enough: at most as many steps of the least length as a
@@ -133,10 +134,16 @@ class StepControl:
         """
         if not self._state.steps[1]:
             self._state.steps[1] = min(self._largest_ns, _FIRST_NS)
+            self.jump()
         one = self._doubled if self._control.rollback else self._watched
         while start_ns < end_ns:
             self._state.time[0] = to_seconds(start_ns)
             start_ns += one(step, start_ns, end_ns)
+
+    def jump(self) -> None:
+        """Inputs may jump here. What cannot be taken back begins carefully."""
+        if not self._control.rollback:
+            self._state.steps[1] = self._least_ns
 
     def account(self, agent: str) -> StepAccount:
         """So far, of the agent with this name."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import random
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +55,9 @@ coupling: {method: midpoint, tolerance: 1e-6}
 channels: {used: {model: netem, delay: [10 ms, 220 ms], loss: 10 %}}
 graph: {channel: used, edges: [1 -> 2, 2 -> 3, 3 -> 4, 4 -> 1, 2 -> 1]}
 """
+
+
+CONTROLLED = "tolerance: 1e-6"
 
 
 @dataclass
@@ -131,6 +134,21 @@ def test_without_saved_states_the_change_of_the_inputs_decides(method: str) -> N
         assert (account.method, account.rejected) == ("change of the inputs", 0)
         errors.append(float(np.abs(np.array(seen.rows) - exact()).max()))
     assert errors[1] < 0.2 * errors[0] < 0.02
+
+
+@pytest.mark.parametrize("rollback", [True, False])
+def test_arrivals_at_which_inputs_jump(*, rollback: bool) -> None:
+    """Beside steps of 10 us. The FMUs can save their state; the plan says that they cannot for the second way."""
+    fine, fixed = (played(NETWORK.replace(CONTROLLED, f"step: {step}")) for step in ("10 us", "1 ms"))
+    plan, seen, agents = planned(NETWORK), Accounted(), []
+    for agent in plan.agents:
+        assert agent.coupling.control is not None
+        control = replace(agent.coupling.control, rollback=rollback)
+        agents.append(replace(agent, coupling=replace(agent.coupling, control=control)))
+    run(replace(plan, agents=tuple(agents)), [seen])
+    errors = [float(np.abs(np.array(one.rows) - np.array(fine.rows)).max()) for one in (seen, fixed)]
+    assert errors[0] < 5e-5 < 5e-4 < errors[1]
+    assert max(account.steps for account in seen.accounts) < 1500, "as many as the fixed step makes"
 
 
 def test_nothing_connected_needs_no_short_steps() -> None:
