@@ -41,6 +41,9 @@ _MOST_TICKS = 64
 _TOGETHER_SECONDS = 0.0005
 """How long ticks are worked on before they travel: some times what it costs to send a message."""
 
+_TOGETHER_AT_EMULATOR = 0.005
+"""The same for the emulator, whose work costs by the worker more than by the tick."""
+
 _IDLE_SECONDS = 1.0
 _ONE_THREAD = "(rx:(handover:app),acc:(handover:app),tx:(handover:app),net:(handover:app),app:(worker_threads:1))"
 """Of Zenoh, for a process that relays nothing: fewer threads to wake. A router would block itself with it."""
@@ -160,7 +163,8 @@ def serve(
 
 def _carry_out(endpoint: Endpoint, served: Machine, hold_back: float) -> None:
     """Take all that has come, act on it, until the end; rows and fates go out after at most `hold_back` seconds."""
-    flushed, per_tick = time.monotonic(), _TOGETHER_SECONDS / _MOST_TICKS
+    together = _TOGETHER_AT_EMULATOR if endpoint.name == EMULATOR else _TOGETHER_SECONDS
+    flushed, per_tick = time.monotonic(), together / _MOST_TICKS
     while not served.finished:
         envelope = _next(endpoint, 0 if served.busy else hold_back if served.holds_back else _IDLE_SECONDS)
         idle = envelope is None
@@ -169,7 +173,7 @@ def _carry_out(endpoint: Endpoint, served: Machine, hold_back: float) -> None:
             envelope = _next(endpoint, 0)
         if served.busy:
             tick, began = served.tick, time.monotonic()
-            messages = served.act(max(1, min(_MOST_TICKS, int(_TOGETHER_SECONDS / per_tick))))
+            messages = served.act(max(1, min(_MOST_TICKS, int(together / per_tick))))
             took = (time.monotonic() - began) / max(1, served.tick - tick)
             per_tick = min(took, 2 * per_tick)  # so that a single delay, as of a busy host, does not count for much
             send(endpoint, messages)
