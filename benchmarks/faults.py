@@ -1,6 +1,6 @@
 """How soon faults of a distributed run are noticed, and how long a lost worker takes to be replaced.
 
-    python -m benchmarks.faults [--trials 20] [--ticks 200 2000 20000]
+    python -m benchmarks.faults [--trials 20] [--ticks 200 2000 20000] [--faults killed hangs]
 
 Four agents in two workers, real processes over Zenoh on this host, `on_worker_loss: restart`. A component brings its
 own worker down at a given tick, the first time only, and notes the moment. `noticed` is when the user is told; `caught
@@ -179,8 +179,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--ticks", type=int, nargs="+", default=[200, 2000, 20000])
+    parser.add_argument("--faults", nargs="+", choices=FAULTS.values(), default=list(FAULTS.values()))
     args = parser.parse_args()
-    cases = [(index, args.ticks[0]) for index in range(len(FAULTS))] + [(0, ticks) for ticks in args.ticks[1:]]
+    cases = [(index, args.ticks[0]) for index, fault in enumerate(FAULTS.values()) if fault in args.faults]
+    cases += [(0, ticks) for ticks in args.ticks[1:] if "killed" in args.faults]
     found: dict[tuple[int, int], list[tuple[float, float | None]]] = {case: [] for case in cases}
     try:
         for number in range(args.trials):

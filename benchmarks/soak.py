@@ -21,8 +21,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.distributed import ROOT, scenario
-from benchmarks.peers.exchange import Shape
+from benchmarks.distributed import ROOT
+from benchmarks.peers.exchange import AGE
+from benchmarks.scaling import PERIOD_MS, scenario
 
 DEADLINE = 3600.0
 SECONDS_BETWEEN = 1.0
@@ -108,11 +109,10 @@ def main() -> None:
     parser.add_argument("--agents", type=int, default=4)
     parser.add_argument("--workers", type=int, default=2)
     args = parser.parse_args()
-    shape = Shape(args.agents, args.workers, args.steps, 0)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         config, out = folder / "soak.yaml", folder / "run"
-        config.write_text(json.dumps(scenario(shape)), encoding="utf-8")
+        config.write_text(scenario("talker", args.agents, args.steps, Path(), AGE * PERIOD_MS), encoding="utf-8")
         command = [sys.executable, "-m", "cosim", "run", str(config), "--out", str(out), "--quiet", "--no-report"]
         started = time.perf_counter()
         readings = watch([*command, "--distributed", "--workers", str(args.workers)])
