@@ -215,12 +215,4 @@ class Emulator:
         return Mail(ends - begin, block.arrival_ns[due], block.slot[due], block.stamp[due], values)
 
     def _fates(self, begin: int, end: int) -> Fates:
-        fates, due = self._block.fates, slice(begin, end)
-        return Fates(
-            fates.sender[due],
-            fates.receiver[due],
-            fates.stamp[due],
-            fates.sent[due],
-            fates.arrival_ns[due],
-            fates.fate[due],
-        )
+        return self._block.fates.between(begin, end)
