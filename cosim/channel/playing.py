@@ -15,8 +15,6 @@ from network.emulator import Emulator
 from network.messages import Fates, Links, MessageLayout
 from network.units import to_seconds
 
-_COLUMNS = ("sender", "receiver", "stamp", "sent", "arrival_ns", "fate")
-
 
 @dataclass(frozen=True)
 class Alone:
@@ -57,7 +55,7 @@ class Alone:
 
     def first_fates(self, limit: int) -> Fates:
         """The first ones."""
-        return Fates(*(getattr(self.fates, name)[:limit] for name in _COLUMNS))
+        return self.fates.between(0, limit)
 
     def channel(self, link: int) -> str:  # noqa: ARG002 - all edges have one
         """Its name."""
@@ -89,6 +87,6 @@ def play(subject: Subject) -> Alone:
     except ChannelError as error:
         raise NetworkError(str(error)) from error
     parts.append(emulator.finish())
-    fates = Fates(*(np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS))
+    fates = Fates.joined(parts)
     bound = subject.model.age_bound_ns(subject.period_ns)
     return Alone(subject.name, links, subject.period_ns, subject.n_ticks, fates, bound)
