@@ -1,125 +1,47 @@
-"""`cosim fmu wire`: a scenario of one agent around an FMU, its mapping guessed from names, units and derivatives."""
+"""`cosim fmu wire`: a scenario of one agent around an FMU, its variables mapped as far as one can guess."""
 
 from __future__ import annotations
 
+import math
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cosim.components.component import Description, Interface, Variable
+from cosim.components.component import Description, Interface, Value, Variable
 from cosim.components.fmu import describe
-from cosim.components.units import Measure, measure
 from cosim.fmu_commands import find
+from cosim.fmu_commands.guessing import Guess, guess
 from cosim.planning.describing import is_file
-from cosim.planning.starts import is_settable
+from cosim.planning.starts import FLOATS, INTEGERS, NUMERIC, is_settable
 from cosim.scenario.source import dump_on_one_line
+from network.units import NANOSECONDS_PER_SECOND, format_duration
 
-_POSITION = re.compile(r"(?i)[qpxyzs]\d*|(pos|phi|theta|alpha|beta|angle)\w*|\w*(position|angle)\w*")
-_VELOCITY = re.compile(
-    r"(?i)qd\d*|d[qx]\d*|[vw]\d*|xd\d*|(vel|omega)\w*|(phi|theta)d\d*|der\(.*\)|\w+_d(ot)?\d*|\w*(velocity|speed)\w*"
-)
-_FORCE = re.compile(r"(?i)u\d*|f\d*|tau\w*|torque\w*|force\w*|\w*(torque|force)\w*")
-_POSITION_UNITS, _VELOCITY_UNITS, _FORCE_UNITS = ("m", "rad"), ("m/s", "rad/s"), ("N", "N.m")
+_PERIOD_NS, _DURATION_NS, _FEWEST_TICKS = 100_000_000, 10_000_000_000, 10
+_MOST_LOCALS = 12
+_NOTHING: Mapping[str, Value] = {
+    **dict.fromkeys(FLOATS, 0.0),
+    **dict.fromkeys(INTEGERS, 0),
+    "Boolean": False,
+    "String": "",
+}
+_REACHED = ("input", "output", "parameter", "structuralParameter")
+"""What a scenario should still be able to name."""
 
 
 @dataclass(frozen=True)
-class Guess:
-    """What seems to be what; names of the FMU's own variables.
+class _Names:
+    """What the stub calls the FMU's variables.
 
     Attributes:
-        position, velocity: as many of each, pairwise, or none of velocity.
+        inputs, outputs: names of the stub to variables.
+        aside: those of them that only make room for other names.
     """
 
-    force: tuple[Variable, ...]
-    position: tuple[Variable, ...]
-    velocity: tuple[Variable, ...]
-
-
-def guess(description: Description) -> Guess:
-    """Which variables are forces, positions and velocities: by derivatives and units first, then by names."""
-    variables = description.variables
-    inputs = [v for v in variables.values() if v.causality == "input" and v.dtype in ("Float64", "Float32")]
-    force = [v for v in inputs if _measures(v, _FORCE_UNITS)] or [
-        v for v in inputs if v.measure is None and _FORCE.fullmatch(_last(v.name))
-    ]
-    for causalities in (("output",), ("output", "local")):
-        readable = [v for v in variables.values() if v.causality in causalities and v.dtype.startswith("Float")]
-        position, velocity = _motion(readable, variables)
-        if position:
-            break
-    return Guess(tuple(force), tuple(position), tuple(velocity))
-
-
-def _motion(readable: Sequence[Variable], variables: Mapping[str, Variable]) -> tuple[list[Variable], list[Variable]]:
-    """Positions and their velocities."""
-    rates: dict[str, list[Variable]] = {}
-    for variable in variables.values():
-        if variable.derivative_of is not None:
-            rates.setdefault(variable.derivative_of, []).append(variable)
-    candidates = [v for v in readable if _is_position(v)]
-    fast = [v for v in readable if _is_velocity(v) and v not in candidates]
-    pairs = [(position, _rate_of(position, rates, readable, fast)) for position in candidates]
-    known = [(position, rate) for position, rate in pairs if rate is not None]
-    if known:
-        return [position for position, _ in known], [rate for _, rate in known]
-    return candidates, fast if len(candidates) == len(fast) else []
-
-
-def _is_position(variable: Variable) -> bool:
-    by_name = bool(_POSITION.fullmatch(_last(variable.name))) and not _VELOCITY.fullmatch(_last(variable.name))
-    return _measures(variable, _POSITION_UNITS) or (variable.measure is None and by_name)
-
-
-def _is_velocity(variable: Variable) -> bool:
-    by_name = bool(_VELOCITY.fullmatch(_last(variable.name)))
-    return _measures(variable, _VELOCITY_UNITS) or (variable.measure is None and by_name)
-
-
-def _rate_of(
-    position: Variable,
-    rates: Mapping[str, Sequence[Variable]],
-    readable: Sequence[Variable],
-    fast: Sequence[Variable],
-) -> Variable | None:
-    """Its derivative by declaration, one that shares that one's value reference, or one whose name says so."""
-    declared = [*rates.get(position.name, ()), *(v for name in _elements(position) for v in rates.get(name, ()))]
-    own = [v for v in readable if any(v is rate for rate in declared)]
-    references = {reference for v in declared for reference in v.references}
-    alias = [v for v in fast if set(v.references) <= references]
-    alike = [v for v in fast if v.shape == position.shape and _named_alike(position.name, v.name)]
-    whole = [v for v in declared if v.shape == position.shape and v.causality == "local"]
-    found = [*own, *alias, *alike, *whole]
-    return found[0] if found else None
-
-
-def _elements(variable: Variable) -> Iterator[str]:
-    if variable.shape and len(variable.references) == variable.size:
-        yield from (f"{variable.name}[{i + 1}]" for i in range(variable.size))
-
-
-def _named_alike(position: str, velocity: str) -> bool:
-    """`q1` and `qd1`, `dq1` or `q1_dot`; `x` and `v` alone do not say enough beside others."""
-    stem, number = re.fullmatch(r"(.*?)(\d*)", position).groups()  # type: ignore[union-attr]
-    forms = (f"{stem}d{number}", f"d{stem}{number}", f"{stem}{number}_dot", f"{stem}_dot{number}", f"{stem}{number}d")
-    pairs = (("p", "v"), ("x", "v"), ("s", "v"), ("phi", "w"), ("phi", "omega"), ("theta", "omega"), ("q", "v"))
-    by_letter = any(stem.endswith(a) and velocity == stem[: -len(a)] + b + number for a, b in pairs)
-    return velocity in forms or velocity == f"der({position})" or by_letter
-
-
-def _measures(variable: Variable, units: Iterable[str]) -> bool:
-    wanted = [measure(unit) for unit in units]
-    exponents = variable.measure.exponents if isinstance(variable.measure, Measure) else None
-    return any(unit is not None and unit.exponents == exponents for unit in wanted)
-
-
-def _last(name: str) -> str:
-    """The part of a name after its last dot."""
-    return name.rsplit(".", 1)[-1]
-
-
-# --- the text ---------------------------------------------------------------------------------------------------------
+    inputs: Mapping[str, Sequence[Variable]]
+    outputs: Mapping[str, Sequence[Variable]]
+    aside: frozenset[str]
 
 
 def scenario(fmu: str, role: str, folder: Path) -> str:
@@ -136,31 +58,73 @@ def scenario(fmu: str, role: str, folder: Path) -> str:
     path = find(fmu)
     description = describe(path)
     found = Guess((), (), ()) if role == "controller" else guess(description)
-    name = re.sub(r"\W+", "_", path.stem).strip("_") or "agent"
-    outputs = {key: list(own) for key, own in (("p", found.position), ("v", found.velocity)) if own}
-    inputs = {"u": list(found.force)} if found.force else {}
-    relative = Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+    names = _names(description, found)
+    agent = re.sub(r"\W+", "_", path.stem).strip("_") or "agent"
+    period_ns = _period_ns(description)
     return "\n".join([
         *_preface(path.name, role, found),
-        f"name: {name}",
-        f"period: {_period(description)}",
-        "duration: 10 s",
+        f"name: {dump_on_one_line(agent)}",
+        f"period: {format_duration(period_ns)}",
+        f"duration: {format_duration(period_ns * max(math.ceil(_DURATION_NS / period_ns), _FEWEST_TICKS))}",
         "agents:",
-        f"  {name}:",
+        f"  {agent}:",
         "    components:",
         f"      {role}:",
-        f"        fmu: {dump_on_one_line(relative if is_file(fmu) else fmu)}",
-        *_mapping("inputs", inputs, description),
-        *_mapping("outputs", outputs, description),
-        *_starts(description, inputs, outputs),
+        f"        fmu: {dump_on_one_line(_relative(path, folder) if Path(fmu).is_file() else fmu)}",
+        *_mapping("inputs", names.inputs),
+        *_mapping("outputs", names.outputs),
+        *_starts(description, names),
         *_parameters(description),
-        *_uses(role, inputs, outputs, description),
+        *_uses(role, names),
+        *_records(role, description, names),
+        *_limits(description),
         "",
     ])  # fmt: skip
 
 
+def _relative(path: Path, folder: Path) -> str:
+    relative = Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+    return relative if is_file(relative) else f"./{relative}"
+
+
+def _names(description: Description, found: Guess) -> _Names:
+    """The usual names for what is guessed. A name that hides an input or output of the FMU's own takes that along under
+    another name; where it would hide what cannot be mapped, something longer is used.
+    """
+    own = description.variables
+    guessed = {v.name for variables in (found.force, found.position, found.velocity) for v in variables}
+    inputs: dict[str, Sequence[Variable]] = {}
+    outputs: dict[str, Sequence[Variable]] = {}
+    aside: set[str] = set()
+
+    def free(name: str) -> str:
+        return free(f"{name}_") if name in own or name in inputs or name in outputs else name
+
+    for usual, longer, variables, named in (
+        ("u", "force", found.force, inputs),
+        ("p", "position", found.position, outputs),
+        ("v", "velocity", found.velocity, outputs),
+    ):
+        hidden = own.get(usual)
+        if not variables:
+            continue
+        if hidden is None or hidden.name in guessed or hidden.causality not in _REACHED:
+            named[usual] = variables
+        elif hidden.causality in ("input", "output") and hidden.dtype in NUMERIC:
+            named[usual] = variables
+            name = free(f"own_{usual}")
+            aside.add(name)
+            (inputs if hidden.causality == "input" else outputs)[name] = (hidden,)
+        else:
+            named[free(longer)] = variables
+    return _Names(inputs, outputs, frozenset(aside))
+
+
+# --- the text ---------------------------------------------------------------------------------------------------------
+
+
 def _preface(name: str, role: str, found: Guess) -> Iterator[str]:
-    yield f"# {name} as an agent of its own: `cosim check` accepts this file, `cosim run` plays it."
+    yield f"# {_plain(name)} as an agent of its own: `cosim check` accepts this file, `cosim run` plays it."
     if found == Guess((), (), ()):
         yield f"# In a scenario of yours, put what is under '{role}' in the place of your {role}. Nothing is guessed."
         return
@@ -170,72 +134,71 @@ def _preface(name: str, role: str, found: Guess) -> Iterator[str]:
         ("positions", found.position),
         ("velocities", found.velocity),
     ):
-        names = ", ".join(variable.name for variable in variables)
+        names = ", ".join(_plain(variable.name) for variable in variables)
         yield f"#   {words}: {names or 'none found'}"
 
 
-def _period(description: Description) -> str:
-    step = description.usual_step
-    return f"{step * 1e9:.0f} ns" if step is not None and not description.variable_step and step > 0.1 else "100 ms"
+def _period_ns(description: Description) -> int:
+    """The usual one, or the next that consists of whole steps where the FMU takes steps of one length only."""
+    step = description.internal_step
+    if step is None and not description.variable_step:
+        step = description.usual_step
+    if step is None or Interface.MODEL_EXCHANGE in description.interfaces:
+        return _PERIOD_NS
+    step_ns = max(round(step * NANOSECONDS_PER_SECOND), 1)
+    return math.ceil(_PERIOD_NS / step_ns) * step_ns
 
 
-def _mapping(kind: str, named: Mapping[str, Sequence[Variable]], description: Description) -> Iterator[str]:
+def _mapping(kind: str, named: Mapping[str, Sequence[Variable]]) -> Iterator[str]:
     """One of `inputs` and `outputs`; what would be called as it is already is left out."""
     as_it_is = [key for key, own in named.items() if [v.name for v in own] == [key] and own[0].causality != "local"]
-    written = {key: [v.name for v in own] for key, own in named.items() if key not in as_it_is}
+    written = {key: own for key, own in named.items() if key not in as_it_is}
     if not written:
         return
     yield f"        {kind}:"
-    for key, names in written.items():
-        value = names[0] if len(names) == 1 else names
-        units = {description.variables[name].unit for name in names} - {None}
-        yield f"          {_entry(key, value)}" + _remark(", ".join(sorted(map(str, units))))
+    for key, own in written.items():
+        names = [v.name for v in own]
+        units = sorted({v.unit for v in own if v.unit is not None})
+        yield f"          {_entry(key, names[0] if len(names) == 1 else names)}" + _remark(", ".join(units))
 
 
-def _starts(
-    description: Description, inputs: Mapping[str, Sequence[Variable]], outputs: Mapping[str, Sequence[Variable]]
-) -> Iterator[str]:
+def _starts(description: Description, names: _Names) -> Iterator[str]:
     """Of inputs, which are not connected yet, and of states."""
+    mapped = {v.name for named in (names.inputs, names.outputs) for own in named.values() for v in own}
+    inputs: dict[str, Sequence[Variable]] = {
+        v.name: (v,) for v in description.variables.values() if v.causality == "input" and v.name not in mapped
+    }
+    states = {
+        name: own for name, own in names.outputs.items() if name not in names.aside and all(map(is_settable, own))
+    }
     lines = []
-    mapped = {v.name for named in (inputs, outputs) for own in named.values() for v in own}
-    for name, own in inputs.items():
-        values = [x for v in own for x in _flat(v)]
-        lines.append((name, values if len(values) > 1 or own[0].shape else values[0], "until something feeds it"))
-    for variable in description.variables.values():
-        if variable.causality == "input" and variable.name not in mapped and variable.dtype != "Binary":
-            values = list(_flat(variable))
-            lines.append((variable.name, values if variable.shape else values[0], "until something feeds it"))
-    for name, own in outputs.items():
-        if all(is_settable(variable) for variable in own):
+    for named, remark in (({**names.inputs, **inputs}, "until something feeds it"), (states, "at the start")):
+        for name, own in named.items():
             values = [x for v in own for x in _flat(v)]
-            lines.append((name, values if len(values) > 1 or own[0].shape else values[0], "at the start"))
+            if values and len(values) == sum(v.size for v in own):
+                value = values if len(own) > 1 or own[0].shape else values[0]
+                lines.append(f"          {_entry(name, value)}  # {remark}")
     if lines:
         yield "        start:"
-        yield from (f"          {_entry(name, value)}  # {remark}" for name, value, remark in lines)
+        yield from lines
 
 
 def _parameters(description: Description) -> Iterator[str]:
     """What may be set under `start`, with the values that hold if it is not."""
     own = [v for v in description.variables.values() if v.causality in ("parameter", "structuralParameter")]
-    settable = [v for v in own if is_settable(v) and v.start is not None]
+    settable = [v for v in own if is_settable(v) and v.start]
     if settable:
         yield "        # Also under 'start', with the FMU's own values:"
     for variable in settable:
-        values = list(variable.start or ())
-        names = {number: name for name, number in variable.items.items()}
-        values = [names.get(x, x) if isinstance(x, int) else x for x in values]
+        values = _flat(variable) or list(variable.start or ())
         remark = "; ".join(filter(None, (variable.unit, variable.description)))
-        entry = _entry(variable.name, values if variable.shape else values[0])
-        yield f"        #   {entry}" + _remark(remark)
+        yield f"        #   {_entry(variable.name, values if variable.shape else values[0])}" + _remark(remark)
 
 
-def _uses(
-    role: str,
-    inputs: Mapping[str, Sequence[Variable]],
-    outputs: Mapping[str, Sequence[Variable]],
-    description: Description,
-) -> Iterator[str]:
+def _uses(role: str, names: _Names) -> Iterator[str]:
     """What others of the agent, and other agents, can do with it."""
+    inputs = [name for name in names.inputs if name not in names.aside]
+    outputs = [name for name in names.outputs if name not in names.aside]
     if inputs or outputs:
         yield "    # Once there is a controller:"
         yield "    # connections:"
@@ -243,17 +206,34 @@ def _uses(
         yield from (f"    #   - controller.{name} -> {role}.{name}" for name in inputs)
     if outputs:
         yield f"    publish: {{{', '.join(f'{name}: {role}.{name}' for name in outputs)}}}"
-        yield f"    record: [{', '.join(f'{role}.{name}' for name in outputs)}]"
+
+
+def _records(role: str, description: Description, names: _Names) -> Iterator[str]:
+    """Outputs are recorded without a word; of an FMU that has none, local variables."""
+    own = [v for v in description.variables.values() if v.dtype in NUMERIC and v.size]
+    if names.outputs or any(v.causality == "output" for v in own):
+        yield "    # Every output is recorded; a list under 'record' chooses."
+        return
+    local = [v for v in own if v.causality == "local" and v.variability != "constant" and v.derivative_of is None]
+    if local:
+        yield "    record:  # there are no outputs; these are the first local variables"
+        yield from (f"      - {dump_on_one_line(f'{role}.{v.name}')}" for v in local[:_MOST_LOCALS])
+
+
+def _limits(description: Description) -> Iterator[str]:
     if Interface.MODEL_EXCHANGE not in description.interfaces and not description.variable_step:
         yield "    # It takes communication steps of one length only: see `coupling` in docs/components.md."
 
 
-def _flat(variable: Variable) -> list[float | int | bool | str]:
-    if variable.start is not None:
-        names = {number: name for name, number in variable.items.items()}
-        return [names.get(x, x) if isinstance(x, int) and variable.items else x for x in variable.start]
-    nothing: float | int | bool | str = "" if variable.dtype == "String" else False
-    return [nothing if variable.dtype in ("String", "Boolean") else 0.0] * variable.size
+def _flat(variable: Variable) -> list[Value]:
+    """The start values as a scenario writes them; where none is declared, some of that type; empty if there is none."""
+    items = {number: name for name, number in variable.items.items()}
+    if variable.start is None:
+        usual = next(iter(items.values()), None) if variable.dtype == "Enumeration" else _NOTHING.get(variable.dtype)
+        return [] if usual is None else [usual] * variable.size
+    if variable.dtype == "Enumeration":
+        return [items[x] for x in variable.start if isinstance(x, int) and x in items]
+    return [x for x in variable.start if not (isinstance(x, float) and math.isnan(x))]
 
 
 def _entry(key: str, value: object) -> str:
@@ -261,4 +241,9 @@ def _entry(key: str, value: object) -> str:
 
 
 def _remark(text: str) -> str:
-    return f"  # {' '.join(text.split())}" if text else ""
+    return f"  # {_plain(text)}" if text else ""
+
+
+def _plain(text: str) -> str:
+    """On one line, without what YAML does not allow in a comment."""
+    return "".join(c for c in " ".join(text.split()) if c.isprintable())

@@ -19,7 +19,7 @@ def add_warnings(scenario: Scenario, edges: Sequence[Edge], leaders: Sequence[st
     _warn_unused(scenario, edges, problems)
     heard = {edge.sender for edge in edges}
     unheard = [name for name, entry in scenario.agents.items() if entry.spec.publish and name not in heard]
-    if unheard:
+    if unheard and len(scenario.agents) > 1:
         problems.warning(f"nobody hears {_agents_text(unheard)}", scenario.root.locate("graph", "edges", key=True))
     deaf = {edge.receiver: edge.where for edge in edges if not scenario.agents[edge.receiver].spec.receive}
     for name, where in deaf.items():

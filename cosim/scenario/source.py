@@ -346,9 +346,18 @@ def dump(tree: Any) -> str:
     return text
 
 
+_OneLineDumper = _with_core_schema(_Dumper)
+_OneLineDumper.add_representer(
+    str,
+    lambda dumper, text: dumper.represent_scalar(
+        "tag:yaml.org,2002:str", text, style='"' if len(text.splitlines()) > 1 or text.endswith("\n") else None
+    ),
+)
+
+
 def dump_on_one_line(value: Any) -> str:
     """YAML text of a plain value that may stand behind a key."""
     text: str = yaml.dump(
-        value, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=True, width=2**30
+        value, Dumper=_OneLineDumper, sort_keys=False, allow_unicode=True, default_flow_style=True, width=2**30
     )
     return text.removesuffix("\n").removesuffix("\n...")

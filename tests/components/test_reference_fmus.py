@@ -25,7 +25,9 @@ from scipy.integrate import solve_ivp
 from cosim import inline
 from cosim.components.fmu import describe
 from cosim.errors import ConfigError, RunError
+from cosim.fmu_commands import stub
 from cosim.plan import Plan
+from cosim.planning import load
 from tests.distributed.networks import planned
 
 FOLDER = os.environ.get("NETCOSIM_REFERENCE_FMUS", "")
@@ -240,3 +242,12 @@ def test_stair_asks_for_the_end(version: str, coupling: dict[str, str]) -> None:
 def test_scheduled_execution_is_refused() -> None:
     with pytest.raises(ConfigError, match="offers neither Model Exchange nor Co-Simulation"):
         describe(path("Clocks", "3.0"))
+
+
+@pytest.mark.parametrize(("name", "version"), CASES)
+def test_what_wire_writes_is_accepted_without_a_warning(tmp_path: Path, name: str, version: str) -> None:
+    text = stub.scenario(str(Path(FOLDER, version, f"{name}.fmu")), "plant", tmp_path)
+    (tmp_path / "stub.yaml").write_text(text, encoding="utf-8")
+    planned = load(str(tmp_path / "stub.yaml"))
+    assert not planned.warnings
+    assert planned.plan.agents[0].record

@@ -9,7 +9,8 @@ import pytest
 import fmus
 from cosim.cli import main
 from cosim.components.fmu import describe
-from cosim.fmu_commands.stub import guess
+from cosim.fmu_commands.guessing import guess
+from cosim.planning import load
 from tests.components.probe import write_fmu
 from tests.mapping.foreign import renamed
 
@@ -48,6 +49,10 @@ GUESSES = {
     "derivatives": (
         ["f input - -", "q1 output - -", "q2 output - -", "b output - q2", "a output - q1"],
         (["f"], ["q1", "q2"], ["a", "b"]),
+    ),
+    "outputs before what is behind them": (
+        ["h output m -", "h_ft output ft -", "v output m/s -", "der(h) local m/s h"],
+        ([], ["h"], ["v"]),
     ),
     "names": (
         ["tau_1 input - -", "tau_2 input - -", "q1 output - -", "q2 output - -", "qd2 output - -", "qd1 output - -"],
@@ -118,6 +123,35 @@ def test_the_written_file_maps_and_names_the_fmu_from_where_it_lies(
     capsys.readouterr()
     assert main(["fmu", "wire", str(tmp_path / "fmus" / "other arm.fmu"), "-o", str(out)]) == 2
     assert "exists already" in capsys.readouterr().err
+
+
+def test_what_a_usual_name_hides_is_mapped_as_well(tmp_path: Path, probe_library: Path) -> None:
+    rows = ["u input V -", "F input N -", "x output m -", "v output V -", "der(x) local m/s x", "p input K -"]
+    path = write_fmu(tmp_path / "motor.fmu", probe_library, description(*rows))
+    assert main(["fmu", "wire", str(path), "-o", str(tmp_path / "motor.yaml")]) == 0
+    text = (tmp_path / "motor.yaml").read_text()
+    for line in ("u: F  # N", "own_u: u  # V", "own_p: p  # K", "p: x  # m", "v: der(x)  # m/s", "own_v: v  # V"):
+        assert f"          {line}\n" in text
+    assert "publish: {p: plant.p, v: plant.v}" in text
+    planned = load(str(tmp_path / "motor.yaml"))
+    assert [name for name, _ in planned.plan.agents[0].record] == ["plant.p", "plant.v", "plant.own_v"]
+
+
+def test_local_variables_are_recorded_where_there_is_no_output(tmp_path: Path, probe_library: Path) -> None:
+    path = write_fmu(tmp_path / "closed.fmu", probe_library, description("level local - -", "temperature local K -"))
+    assert main(["fmu", "wire", str(path), "-o", str(tmp_path / "closed.yaml")]) == 0
+    planned = load(str(tmp_path / "closed.yaml"))
+    assert [name for name, _ in planned.plan.agents[0].record] == ["plant.level", "plant.temperature"]
+
+
+def test_the_period_consists_of_the_steps_that_an_fmu_insists_on(tmp_path: Path, probe_library: Path) -> None:
+    text = description("y output - -").replace('StepSize="true"/>', 'StepSize="false"/>')
+    text = text.replace("<ModelVariables>", '<DefaultExperiment stepSize="0.03"/><ModelVariables>')
+    path = write_fmu(tmp_path / "fixed.fmu", probe_library, text)
+    assert main(["fmu", "wire", str(path), "-o", str(tmp_path / "fixed.yaml")]) == 0
+    planned = load(str(tmp_path / "fixed.yaml"))
+    assert planned.plan.period_ns == 120_000_000
+    assert planned.plan.agents[0].coupling.step_ns == 30_000_000
 
 
 def test_a_role_that_can_name_nothing(capsys: pytest.CaptureFixture[str]) -> None:
