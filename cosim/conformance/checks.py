@@ -5,17 +5,17 @@ A check returns findings, or raises `ComponentError` or `ConfigError` where the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from cosim.components.component import Floats, Interface, Variable
+from cosim.components.component import Floats, Interface, Value, Variable
 from cosim.components.opening import describe
 from cosim.conformance.driving import STEPS, Subject, difference, first_difference
 from cosim.conformance.report import Verdict
 from cosim.errors import ComponentError, ConfigError
-from cosim.planning.starts import is_settable
+from cosim.planning.starts import FLOATS, is_settable
 
 Said = tuple[Verdict, str]
 Check = Callable[[Subject], Iterator[Said]]
@@ -121,15 +121,13 @@ def save_and_restore(subject: Subject) -> Iterator[Said]:
 
 def step_splitting(subject: Subject) -> Iterator[Said]:
     """One communication step, or two of half the length: the same point in time, nearly the same outputs."""
-    if subject.interface is not Interface.CO_SIMULATION:
-        yield Verdict.SKIPPED, "for Co-Simulation"
-        return
     if not subject.description.variable_step:
         yield Verdict.SKIPPED, "it takes communication steps of one length only"
         return
     coarse, where = _split(subject, subject.step)
     if coarse <= _ROUGH:
-        yield Verdict.OK, f"a step of {subject.step:g} s or two halves: outputs differ by {coarse:.1g} at most"
+        said = f"outputs differ by {coarse:.1g} at most" if coarse else "the same outputs"
+        yield Verdict.OK, f"a step of {subject.step:g} s or two halves: {said}"
         return
     fine, _ = _split(subject, subject.step / 8)
     text = f"{where} differs by {coarse:.1g} between a step of {subject.step:g} s and two halves"
@@ -151,9 +149,6 @@ def _split(subject: Subject, step: float) -> tuple[float, str]:
 
 def evaluation(subject: Subject) -> Iterator[Said]:
     """Derivatives are a function of time, states and inputs, whatever was asked before: integrators try steps out."""
-    if subject.interface is not Interface.MODEL_EXCHANGE:
-        yield Verdict.SKIPPED, "for Model Exchange"
-        return
     with subject.opened() as driver:
         if not driver.component.n_states:
             yield Verdict.SKIPPED, "it has no continuous states"
@@ -180,11 +175,11 @@ def dependencies(subject: Subject) -> Iterator[Said]:
     """An output follows an input at once only where that is declared: `joint` orders its evaluations by it."""
     inputs, outputs = subject.inputs, subject.variables("output")
     if not inputs or not outputs:
-        yield Verdict.SKIPPED, "there is no continuous input, or no output"
+        yield Verdict.SKIPPED, f"there is no {'output' if inputs else 'continuous input'}"
         return
     exchange = subject.interface is Interface.MODEL_EXCHANGE
     if not exchange and Interface.MODEL_EXCHANGE in subject.description.interfaces:
-        yield Verdict.SKIPPED, "see Model Exchange"
+        yield Verdict.SKIPPED, "tried with Model Exchange"
         return
     undeclared = _undeclared(subject, inputs, outputs)
     for output, found in undeclared:
@@ -255,35 +250,52 @@ def _given(subject: Subject, variable: Variable, values: Floats) -> str:
 
 def dimensions(subject: Subject) -> Iterator[Said]:
     """Arrays follow the structural parameters that size them."""
-    structural = subject.variables("structuralParameter")
+    structural = [v for v in subject.variables("structuralParameter") if v.dtype not in FLOATS]
     if not structural:
         yield Verdict.SKIPPED, "there is no structural parameter"
         return
     plan = subject.plan
     for parameter in structural:
-        usual = int((plan.start.get(parameter.name) or parameter.start or (1,))[0])
-        for size in sorted({1, usual + 1, usual + 3}):
-            described = describe(plan.path, plan.python, {**_sizes(subject), parameter.name: size})
+        for value in _tried(parameter, plan.start.get(parameter.name)):
+            described = describe(plan.path, plan.python, {**_sizes(subject), parameter.name: value})
             sizes = {v.name: v.size for v in described.variables.values()}
             start = {name: values for name, values in plan.start.items() if len(values) == sizes[name]}
-            start[parameter.name] = (size,)
+            start[parameter.name] = (value,) * parameter.size
             try:
                 with replace(subject, plan=replace(plan, description=described, start=start)).opened() as driver:
                     driver.set_inputs()
                     driver.run(2, subject.step)
             except ComponentError as error:
-                yield Verdict.PROBLEM, f"{parameter.name} = {size}: {_said(error)}"
+                yield Verdict.PROBLEM, f"{parameter.name} = {_shown(parameter, value)}: {_said(error)}"
                 return
     yield Verdict.OK, f"{', '.join(v.name for v in structural)} can be changed"
 
 
+def _tried(parameter: Variable, given: Sequence[Value] | None) -> list[int]:
+    """Other values of a structural parameter."""
+    if parameter.dtype == "Boolean":
+        return [True, False]
+    if parameter.dtype == "Enumeration":
+        return list(parameter.items.values())
+    usual = int((given or parameter.start or (1,))[0])
+    return sorted({1, usual + 1, usual + 3})
+
+
+def _shown(parameter: Variable, value: int) -> str:
+    if parameter.dtype == "Boolean":
+        return "true" if value else "false"
+    return next((name for name, number in parameter.items.items() if number == value), str(value))
+
+
 def _sizes(subject: Subject) -> dict[str, int]:
     known = ((v.name, subject.plan.start.get(v.name)) for v in subject.variables("structuralParameter"))
-    return {name: int(value[0]) for name, value in known if value}
+    return {name: value[0] for name, value in known if value and isinstance(value[0], int)}
 
 
+FIRST = "initialise"
+"""The check that all others begin with."""
 CHECKS: dict[str, Check] = {
-    "initialise": initialise,
+    FIRST: initialise,
     "start values": start_values,
     "run": run,
     "determinism": determinism,
@@ -296,11 +308,17 @@ CHECKS: dict[str, Check] = {
     "dimensions": dimensions,
     "bad values": bad_values,
 }
-"""In their order; what follows from one that failed is tried all the same."""
+"""In their order; what follows from one that failed is tried all the same, unless nothing can be without it."""
+_ONLY = {"step splitting": Interface.CO_SIMULATION, "evaluation": Interface.MODEL_EXCHANGE}
 
 
-def findings(name: str, subject: Subject) -> list[Said]:
-    """What a check finds; that the component refuses is a finding, too."""
+def checks_of(interface: Interface) -> list[str]:
+    """Those that say something of components that are stepped in this way."""
+    return [name for name in CHECKS if _ONLY.get(name, interface) is interface]
+
+
+def findings(name: str, subject: Subject) -> tuple[list[Said], bool]:
+    """What a check finds, and whether the component let it come to its end; that it refuses is a finding, too."""
     found: list[Said] = []
     try:
         found.extend(CHECKS[name](subject))
@@ -308,7 +326,9 @@ def findings(name: str, subject: Subject) -> list[Said]:
         found.append((Verdict.PROBLEM, _said(error)))
     except ConfigError as error:
         found.append((Verdict.PROBLEM, "; ".join(problem.message for problem in error.problems)))
-    return found
+    else:
+        return found, True
+    return found, False
 
 
 def _alone(subject: Subject) -> list[dict[str, Floats]]:

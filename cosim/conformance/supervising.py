@@ -104,9 +104,9 @@ class _Trial:
         self._deadline = deadline
 
     def findings(self) -> list[Finding]:
-        from cosim.conformance.checks import CHECKS
+        from cosim.conformance.checks import CHECKS, checks_of
 
-        left = [(str(interface), name) for interface in self._interfaces for name in CHECKS]
+        left = [(str(interface), name) for interface in self._interfaces for name in checks_of(interface)]
         found: list[Finding] = []
         losses: Counter[str] = Counter()
         while left:
