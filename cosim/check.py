@@ -6,7 +6,8 @@ It instantiates and initialises every component, so that a start value which an 
 from __future__ import annotations
 
 import math
-from collections import Counter
+import sys
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TypeVar
@@ -14,7 +15,8 @@ from typing import TypeVar
 import numpy as np
 
 from cosim.agents import Agents
-from cosim.errors import Location, Problem, Severity
+from cosim.errors import CosimError, Location, Problem, Severity
+from cosim.native_output import captured
 from cosim.plan import AgentPlan, ComponentPlan, CouplingPlan, Loop, Method, Plan
 from cosim.scenario.names import in_short
 from cosim.scenario.source import dump_on_one_line
@@ -23,10 +25,14 @@ from cosim.topology import kappa, reached_by, roots
 from network.units import format_duration, to_seconds
 
 Item = TypeVar("Item")
+_PRINTED_CHUNKS = 4
+"""How much is kept of what FMUs print, in pieces of up to 64 KiB."""
 
 
 def open_all(plan: Plan) -> list[Problem]:
     """Instantiate and initialise every agent, as a run does, but those of which only the description is here.
+
+    What FMUs print meanwhile is shown if one refuses: it may be all that they say.
 
     Returns:
         What could not be opened.
@@ -37,13 +43,23 @@ def open_all(plan: Plan) -> list[Problem]:
     """
     missing = absent(plan)
     here = [agent for agent in plan.agents if all(component.description.whole for component in agent.components)]
-    if here:
-        agents = Agents(plan, here)
-        try:
-            agents.initialise()
-        finally:
-            agents.terminate()
+    printed: deque[bytes] = deque(maxlen=_PRINTED_CHUNKS)
+    try:
+        with captured(printed.append):
+            _open(plan, here)
+    except CosimError:
+        if text := b"".join(printed).decode(errors="replace").strip():
+            print(text, file=sys.stderr)
+        raise
     return [replace(problem, severity=Severity.WARNING) for problem in missing]
+
+
+def _open(plan: Plan, agents: Sequence[AgentPlan]) -> None:
+    opened = Agents(plan, agents)
+    try:
+        opened.initialise()
+    finally:
+        opened.terminate()
 
 
 def absent(plan: Plan) -> list[Problem]:

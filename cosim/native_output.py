@@ -9,8 +9,11 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import Any
 
 from cosim.logs import Sink
+from cosim.scratch import holds
 
 _CHUNK = 1 << 16
 _DRAIN_SECONDS = 2.0
@@ -33,9 +36,10 @@ def pump(descriptor: int, sink: Sink) -> threading.Thread:
 
 @contextmanager
 def captured(sink: Sink) -> Iterator[None]:
-    """While inside, what native code of this process prints goes to `sink`. What Python prints stays where it was.
+    """While inside, what FMUs in this process print goes to `sink`. What Python prints stays where it was.
 
-    Python's own streams are set to the old places, so whoever keeps `sys.stdout` must fetch it inside.
+    Python's own streams are set to the old places, so whoever keeps `sys.stdout` must fetch it inside. An FMU may be
+    written in Python, too, and runs in this interpreter: what its files print, or others on their behalf, is its own.
     """
     print_by_lines()
     _flush()
@@ -70,14 +74,39 @@ def _moved(stream: io.TextIOBase, saved: list[int]) -> io.TextIOBase:
         return stream
     if number not in (1, 2):
         return stream
-    return open(
-        saved[number - 1],
-        "w",
-        encoding=stream.encoding,
-        errors=stream.errors,
-        buffering=1,
-        closefd=False,
-    )
+    old = open(saved[number - 1], "wb", closefd=False)  # noqa: SIM115 - whoever prints needs it open
+    return _Screen(number, old, encoding=stream.encoding, errors=stream.errors, line_buffering=True)
+
+
+class _Screen(io.TextIOWrapper):
+    """The old place of a stream; what FMUs written in Python print goes to its new one.
+
+    Args:
+        number: descriptor of the new place.
+        old: the old place.
+        how: as of `TextIOWrapper`.
+    """
+
+    def __init__(self, number: int, old: io.BufferedWriter, **how: Any) -> None:
+        super().__init__(old, **how)
+        self._number = number
+
+    def write(self, text: str) -> int:
+        if not _printed_by_an_fmu(sys._getframe(1)):
+            return super().write(text)
+        data = text.encode(self.encoding, "replace")
+        while data:
+            data = data[os.write(self._number, data) :]
+        return len(text)
+
+
+def _printed_by_an_fmu(frame: FrameType | None) -> bool:
+    """Whether a file of an unpacked FMU is among those that led to this frame."""
+    while frame is not None:
+        if holds(frame.f_code.co_filename):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _flush() -> None:

@@ -14,6 +14,13 @@ if sys.platform != "win32":  # there an open file cannot be removed: a killed pr
 
 _PREFIX = "cosim-"
 _LOCK = "lock"
+_own: set[str] = set()
+"""The folders that this process made, with a slash at the end."""
+
+
+def holds(path: str) -> bool:
+    """Whether a file lies in a folder that this process made: an unpacked FMU's does."""
+    return path.startswith(tuple(_own))
 
 
 class Scratch:
@@ -26,6 +33,7 @@ class Scratch:
     def __init__(self) -> None:
         _sweep()
         self.path = Path(tempfile.mkdtemp(prefix=_PREFIX))
+        _own.add(f"{self.path}{os.sep}")
         new = self.path / "new"
         self._lock = new.open("wb")
         if sys.platform != "win32":

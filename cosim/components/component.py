@@ -139,6 +139,8 @@ class Description:
         variable_step: Co-Simulation: whether it accepts communication steps of different lengths.
         internal_step: Co-Simulation: length in seconds of the steps that it makes inside, None where it does not say.
         usual_step: the step in seconds of its default experiment, None where it has none.
+        tolerance: Co-Simulation: what its own solver is told, relative; that of its default experiment unless the
+            scenario says another, None where neither does.
         can_get_and_set_state: whether it can be saved and restored.
         asynchronous: Co-Simulation: a step may go on after the call that begins it (FMI 2.0, canRunAsynchronuously).
         own: where a scenario maps names: the description as the component gives it.
@@ -154,6 +156,7 @@ class Description:
     variable_step: bool = True
     internal_step: float | None = None
     usual_step: float | None = None
+    tolerance: float | None = None
     can_get_and_set_state: bool = False
     asynchronous: bool = False
     whole: bool = True

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.components.component import Description, Interface, Value, Variable
-from cosim.components.fmu.library import PLATFORM, File, findings, read
+from cosim.components.fmu.library import PLATFORM, File, findings, read, runs_in_python
 from cosim.components.fmu.variables import fmi2_variables, fmi3_variables
 
 _KINDS = (
@@ -28,10 +28,11 @@ _CAPABILITIES = (
     ("canReturnEarlyAfterIntermediateUpdate", "return early from a step"),
     ("canInterpolateInputs", "interpolate its inputs"),
 )
+_TOOL = "needs the tool that made it"
 _LIMITS = (
     ("canBeInstantiatedOnlyOncePerProcess", "only one instance per process"),
     ("canNotUseMemoryManagementFunctions", "does not use the importer's memory functions"),
-    ("needsExecutionTool", "needs the tool that made it"),
+    ("needsExecutionTool", _TOOL),
 )
 
 
@@ -121,6 +122,9 @@ def _limits(file: File) -> list[str]:
         for attribute, words in _LIMITS
         if getattr(implementation, attribute, False)
     }
+    if runs_in_python(file.model):
+        found = {words: None for words in found if words != _TOOL}
+        found["needs Python, and the packages that its script imports"] = None
     co_simulation = file.implementations.get(Interface.CO_SIMULATION)
     if co_simulation is not None and not co_simulation.canHandleVariableCommunicationStepSize:
         found["communication steps of one length only"] = None
@@ -210,6 +214,9 @@ def _problems(file: File, path: Path, variables: Mapping[str, Variable]) -> list
 def _unusable(file: File) -> Iterator[str]:
     if file.library_folder is None and file.archive.whole:
         yield f"no library for this platform ({PLATFORM}): it cannot be run here"
+    for identifier, library in file.libraries.items() if file.library_folder is not None else ():
+        if Path(library).stem != identifier:
+            yield f"its library is called {library} and its model identifier {identifier}: other tools may not load it"
     if not file.archive.whole:
         yield f"only the description of {file.archive.original_name}: it can be planned with, but not run"
 

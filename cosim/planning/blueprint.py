@@ -21,6 +21,8 @@ from cosim.scenario.source import Node
 from cosim.scenario.spec import MAILBOX_PORTS, ComponentSpec
 from network.units import to_seconds
 
+_CVODE_TOLERANCE = 1e-8
+
 
 @dataclass(frozen=True)
 class Part:
@@ -134,9 +136,11 @@ def _part(
             return None
     if spec.solver is not None:
         description = _with_solver(name, description, node, problems)
+    elif spec.tolerance is not None:
+        description = replace(description, tolerance=spec.tolerance)
     mapped = map_names(description, spec, node, problems)
     start.update(_start_values(spec, node, mapped, problems, structural=False))
-    cvode = None if spec.solver is None else spec.tolerance
+    cvode = None if spec.solver is None else spec.tolerance or _CVODE_TOLERANCE
     return Part(name, origin, mapped, start, _isolation(spec, node, problems), cvode)
 
 

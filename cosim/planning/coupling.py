@@ -46,6 +46,7 @@ def choose_coupling(
         problems.error(
             f"{why}: {_quoted(lacking)} {'does' if len(lacking) == 1 else 'do'} not offer {_words(wanted)}", where
         )
+    _check_own_tolerances(entry, method, problems)
     control = _control(entry, descriptions, method, period_ns, problems)
     retries = 0 if method is Method.JOINT else spec.retries
     loop = _loop(spec, node, _in_python(entry, descriptions, method, retries, control), problems)
@@ -120,6 +121,23 @@ def _control(
         period_ns=period_ns,
         rollback=rollback,
     )
+
+
+def _check_own_tolerances(entry: AgentEntry, method: Method, problems: Problems) -> None:
+    """Tolerances that nobody would read."""
+    for name, component in entry.spec.components.items():
+        if component.tolerance is None or component.solver is not None:
+            continue
+        message = ""
+        if component.python is not None:
+            message = "'tolerance' is for FMUs and for 'solver: cvode'; leave it out here"
+        elif method is Method.JOINT:
+            message = (
+                f"'joint' does not use the solver of {name!r}; leave 'tolerance' out here, and write `coupling: "
+                f"{{integrator: dormand-prince, relative_tolerance: {component.tolerance:g}}}`"
+            )
+        if message:
+            problems.error(message, entry.node.locate("components", name, "tolerance"))
 
 
 def _auto(descriptions: Mapping[str, Description]) -> Method:

@@ -155,8 +155,8 @@ def _component(part: Part, spec: ComponentSpec) -> Tree:
         written["step"] = format_duration(spec.step)
     if part.isolation is not None:
         written["isolate"] = {"deadline": format_duration(part.isolation.deadline_ns)}
-    if part.cvode is not None:
-        written["tolerance"] = part.cvode
+    if part.cvode is not None or spec.tolerance is not None:
+        written["tolerance"] = part.cvode or spec.tolerance
     return origin | {key: value for key, value in written.items() if value}
 
 

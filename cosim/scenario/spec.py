@@ -254,7 +254,11 @@ class ComponentSpec(Spec):
         description="cvode: a component that offers Model Exchange is used as Co-Simulation, with CVODE inside; for "
         "stiff models, beside black boxes.",
     )
-    tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(1e-8, description="Relative, for cvode.")
+    tolerance: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        None,
+        description="Relative. With cvode: what it keeps to, by default 1e-8. Of an FMU in Co-Simulation: what its own "
+        "solver is told, by default what its default experiment says.",
+    )
 
     @model_validator(mode="after")
     def _one_kind(self) -> ComponentSpec:

@@ -90,6 +90,20 @@ static void say(Probe *p, int status, const char *text) {
                               text);
 }
 
+static void set_up(Probe *p, bool defined, double tolerance, double start) {
+    char text[64];
+    snprintf(text, sizeof text, "told the tolerance %g", tolerance);
+    if (defined) say(p, 1, text);
+    p->slots[TIME] = start;
+}
+
+/* By its label: it prints, and prints and refuses. */
+static int initialised(Probe *p) {
+    bool refuses = p && strcmp(p->label, "refuses") == 0;
+    if (refuses || (p && strcmp(p->label, "talks") == 0)) puts("the probe talks");
+    return p && !refuses ? 0 : 3;
+}
+
 /* A gigabyte to the log, and a quarter of one to standard output. */
 static void flood(Probe *p) {
     enum { SIZE = 1 << 18 };
@@ -279,11 +293,11 @@ fmi3Status fmi3ExitConfigurationMode(fmi3Instance i) {
 }
 fmi3Status fmi3EnterInitializationMode(fmi3Instance i, fmi3Boolean defined, fmi3Float64 tolerance, fmi3Float64 start,
                                        fmi3Boolean stop_defined, fmi3Float64 stop) {
-    (void)defined, (void)tolerance, (void)stop_defined, (void)stop;
-    PROBE(i)->slots[TIME] = start;
+    (void)stop_defined, (void)stop;
+    set_up(PROBE(i), defined, tolerance, start);
     return fmi3OK;
 }
-fmi3Status fmi3ExitInitializationMode(fmi3Instance i) { return i ? fmi3OK : fmi3Error; }
+fmi3Status fmi3ExitInitializationMode(fmi3Instance i) { return (fmi3Status)initialised(i); }
 fmi3Status fmi3EnterEventMode(fmi3Instance i) {
     PROBE(i)->in_event_mode = true;
     return fmi3OK;
@@ -408,12 +422,12 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String token, 
 void fmi2FreeInstance(fmi2Component c) { free(c); }
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean defined, fmi2Real tolerance, fmi2Real start,
                                fmi2Boolean stop_defined, fmi2Real stop) {
-    (void)defined, (void)tolerance, (void)stop_defined, (void)stop;
-    PROBE(c)->slots[TIME] = start;
+    (void)stop_defined, (void)stop;
+    set_up(PROBE(c), defined, tolerance, start);
     return fmi2OK;
 }
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return c ? fmi2OK : fmi2Error; }
-fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return c ? fmi2OK : fmi2Error; }
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return (fmi2Status)initialised(c); }
 fmi2Status fmi2EnterEventMode(fmi2Component c) { return c ? fmi2OK : fmi2Error; }
 fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { return c ? fmi2OK : fmi2Error; }
 fmi2Status fmi2Terminate(fmi2Component c) { return c ? fmi2OK : fmi2Error; }

@@ -13,9 +13,11 @@ import pytest
 import fmus
 from cosim.components.component import Interface, Variable, head
 from cosim.components.fmu import archive as archive_module
-from cosim.components.fmu import describe
+from cosim.components.fmu import describe, open_fmu
 from cosim.components.fmu.archive import inspect, unpack
 from cosim.errors import ConfigError
+from cosim.fmu_commands.inspecting import report
+from fmus import build
 from tests.components.probe import FAILS, TYPES, description2, description3, write_fmu
 
 BOTH = (Interface.MODEL_EXCHANGE, Interface.CO_SIMULATION)
@@ -257,6 +259,37 @@ def test_an_fmu_that_needs_its_tool(probe_library: Path, tmp_path: Path) -> None
     text = description3().replace('modelIdentifier="probe"', needs)
     message = refusal(write_fmu(tmp_path / "x.fmu", probe_library, text))
     assert "only works together with ProbeTool" in message
+
+
+def test_python_is_here(probe_library: Path, tmp_path: Path) -> None:
+    """PythonFMU declares that it needs its tool, which is Python."""
+    needs = 'modelIdentifier="probe" needsExecutionTool="true"'
+    text = description2().replace('modelIdentifier="probe"', needs)
+    text = text.replace("<fmiModelDescription", '<fmiModelDescription generationTool="PythonFMU 0.7.0"')
+    assert describe(write_fmu(tmp_path / "x.fmu", probe_library, text)).interfaces == BOTH
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_library_of_another_name(probe_library: Path, tmp_path: Path, fmi: int) -> None:
+    """As in an FMU that somebody renamed; FMI wants both names equal, but if there is one library, it is meant."""
+    text = (description2() if fmi == 2 else description3()).replace(
+        'modelIdentifier="probe"', 'modelIdentifier="Probe"'
+    )
+    path = write_fmu(tmp_path / "x.fmu", probe_library, text)
+    component = open_fmu("probe", path, Interface.CO_SIMULATION, describe(path))
+    component.enter_initialization(0.0, 1.0)
+    component.exit_initialization()
+    component.step(0.0, 0.5)
+    component.terminate()
+    assert f"its library is called {probe_library.name} and its model identifier Probe" in report(path)
+
+
+def test_several_libraries_of_other_names(probe_library: Path, tmp_path: Path) -> None:
+    text = description3().replace('modelIdentifier="probe"', 'modelIdentifier="Probe"')
+    folder, suffix = build.platform_folder(3), build.library_suffix()
+    path = write_fmu(tmp_path / "x.fmu", probe_library, text, {f"binaries/{folder}/other{suffix}": ""})
+    both = f"binaries/{folder}/probe{suffix}, binaries/{folder}/other{suffix}"
+    assert f"holds no Probe{suffix}, as its model description calls it, but {both}; ask" in refusal(path)
 
 
 def test_an_interface_that_needs_its_tool_is_not_offered(probe_library: Path, tmp_path: Path) -> None:

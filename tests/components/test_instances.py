@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from subprocess import PIPE
 
@@ -61,6 +62,24 @@ def get(component: FmuComponent, name: str) -> list[float]:
 
 def put(component: FmuComponent, name: str, *values: float) -> None:
     component.set(component.description.variables[name], np.array(values, dtype=np.float64))
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_the_tolerance_of_its_own_solver(probe_library: Path, tmp_path: Path, fmi: int) -> None:
+    """In Co-Simulation an FMU is told what its default experiment says, unless the scenario says another."""
+    text = (description2() if fmi == 2 else description3()).replace(
+        "<ModelVariables>", '<DefaultExperiment tolerance="1e-5"/><ModelVariables>'
+    )
+    path = write_fmu(tmp_path / "x.fmu", probe_library, text)
+    description = describe(path)
+    for interface, used, said in (
+        (CS, description, ["[Warning] told the tolerance 1e-05"]),
+        (CS, replace(description, tolerance=1e-9), ["[Warning] told the tolerance 1e-09"]),
+        (ME, description, []),
+    ):
+        component = initialised(open_fmu("probe", path, interface, used))
+        component.terminate()
+        assert list(component.log.lines) == said
 
 
 # --- life cycles ----------------------------------------------------------------------------------------------------

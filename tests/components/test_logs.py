@@ -36,6 +36,16 @@ def test_what_an_fmu_prints_goes_to_the_run_folder(probes: dict[int, Path], tmp_
     assert lines.count("the probe complained") == 64
 
 
+def test_what_an_fmu_prints_while_it_is_checked(probes: dict[int, Path], tmp_path: Path) -> None:
+    """Shown only where it refuses: that may be all that it says."""
+    quiet = cosim(tmp_path, "check", "net.yaml", text=scenario(probes[2], "nothing", fmi_label="talks"))
+    assert quiet.returncode == 0
+    assert "the probe talks" not in quiet.stdout + quiet.stderr
+    refused = cosim(tmp_path, "check", "net.yaml", text=scenario(probes[2], "nothing", fmi_label="refuses"))
+    assert refused.returncode == 3
+    assert refused.stderr.startswith("the probe talks\nerror: agent bad, component probe")
+
+
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_what_an_fmu_logs_goes_to_the_run_folder(probes: dict[int, Path], tmp_path: Path, fmi: int) -> None:
     text = scenario(probes[fmi], "step_error")

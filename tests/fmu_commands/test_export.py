@@ -13,9 +13,12 @@ from cosim.cli import main
 from cosim.conformance import check
 from cosim.planning import plan
 from cosim.scenario.reading import read_scenario
+from tests.components.misbehaving import cosim
 from tests.distributed.networks import Record, in_process
 
 MODULE = '''
+import sys
+
 from cosim.components.python import Input, Output, Parameter, PythonComponent, State, Structural
 
 
@@ -63,6 +66,14 @@ class Stepping(PythonComponent):
 
     def step(self, time, step):
         self.y = self.y + step * self.u
+
+
+class Talking(Stepping):
+    def step(self, time, step):
+        print("the FMU prints")
+        print("the FMU complains", file=sys.stderr)
+        if time > 0.8:
+            raise ValueError("the FMU has enough")
 '''
 SCENARIO = """
 period: 100 ms
@@ -95,6 +106,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert main(["fmu", "export", "driven_motors:Motor"]) == 0
         assert main(["fmu", "export", "driven_motors:Follow", "--size", "count=1", "-o", "following.fmu"]) == 0
         assert main(["fmu", "export", "driven_motors:Stepping"]) == 0
+        assert main(["fmu", "export", "driven_motors:Talking"]) == 0
     return path
 
 
@@ -141,6 +153,23 @@ def test_a_class_that_steps_itself(folder: Path, monkeypatch: pytest.MonkeyPatch
         assert error is None
         records.append(record)
     assert records[0] == records[1]
+
+
+@pytest.mark.parametrize("loop", ["native", "python"])
+def test_what_it_prints_goes_to_the_run_folder(folder: Path, tmp_path: Path, loop: str) -> None:
+    """Although its Python is that of this process, as of every FMU that PythonFMU makes."""
+    text = STEPPING.format(counter=f"fmu: {folder / 'Talking.fmu'}", method="jacobi").replace("100 ms", "500 ms")
+    if loop == "native":
+        text = text.replace('source: {python: "cosim.components.library:Sine"}', "source: {fmu: DoubleIntegrator}")
+        text = text.replace("source.phi", "source.p")
+    text = text.replace("2 ms", f"500 ms, loop: {loop}").replace("1 s", "2 s")
+    done = cosim(tmp_path, "run", "net.yaml", "--out", "out", "--no-report", text=text)
+    assert done.returncode == 3
+    assert "component counter, at t = 1 s: fmi3DoStep returned" in done.stderr
+    assert "the FMU prints" not in done.stdout + done.stderr
+    assert "the FMU complains" not in done.stdout + done.stderr
+    printed = (tmp_path / "out" / "logs" / "output.log").read_text()
+    assert printed.count("the FMU prints\n") == printed.count("the FMU complains\n") == 3
 
 
 def test_it_keeps_to_the_rules(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,6 @@
 """Which coupling an agent gets, from what its components offer."""
 
+import re
 from collections.abc import Set
 from typing import Any
 
@@ -222,3 +223,24 @@ def test_loops() -> None:
     assert [found.loop for found in (python, mixed, slow, saved) if found] == [Loop.PYTHON] * 4
     assert saved is not None
     assert saved.retries == 3
+
+
+@pytest.mark.parametrize(
+    ("component", "method", "said"),
+    [
+        ("{fmu: Plant, tolerance: 1e-6}", "gauss-seidel", None),
+        ("{fmu: Plant, tolerance: 1e-6, solver: cvode}", "gauss-seidel", None),
+        ("{fmu: Plant, tolerance: 1e-6}", "joint", "write `coupling: {integrator: dormand-prince, relative_tolerance"),
+        ("{python: 'm:Plant', tolerance: 1e-6}", "gauss-seidel", "'tolerance' is for FMUs and for 'solver: cvode'"),
+    ],
+)
+def test_the_tolerance_of_a_component_is_for_a_solver_inside(component: str, method: str, said: str | None) -> None:
+    node = parse(f"coupling: {{method: {method}}}\ncomponents: {{plant: {component}}}", "f")
+    problems = Problems()
+    entry = AgentEntry(AgentSpec.model_validate(node.plain()), node, None)
+    choose_coupling(entry, {"plant": describe(ME, CS)}, frozenset(), PERIOD, problems)
+    if said is None:
+        problems.raise_if_any()
+    else:
+        with pytest.raises(ConfigError, match=re.escape(said)):
+            problems.raise_if_any()

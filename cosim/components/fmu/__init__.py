@@ -11,7 +11,7 @@ from pathlib import Path
 from cosim.components.component import Description, Interface
 from cosim.components.fmu.archive import refuse
 from cosim.components.fmu.component import Fmi2Component, Fmi3Component, FmuComponent, Native
-from cosim.components.fmu.library import PLATFORM, read
+from cosim.components.fmu.library import FOLDERS, LIBRARY_SUFFIX, PLATFORM, File, read
 from cosim.components.fmu.variables import fmi2_variables, fmi3_variables
 from cosim.errors import ComponentError
 from cosim.logs import Sink, discard
@@ -33,19 +33,15 @@ def describe(path: Path, structural: Mapping[str, int] | None = None) -> Descrip
     """
     file = read(Path(path))
     if file.library_folder is None and file.archive.whole:
-        offered = ", ".join(file.archive.platforms) or "none"
-        raise refuse(
-            file.archive.path,
-            f"has no binary for this platform ({PLATFORM}); it has: {offered}. "
-            "Ask its supplier for one, or run on another platform",
-        )
+        raise refuse(file.archive.path, _no_library(file))
     implementations = file.implementations
     co_simulation = implementations.get(Interface.CO_SIMULATION)
     experiment = file.model.defaultExperiment
     try:
         variables = fmi2_variables(file.model) if file.fmi == 2 else fmi3_variables(file.model, structural or {})
-        internal_step = _seconds(co_simulation and co_simulation.fixedInternalStepSize)
-        usual_step = _seconds(experiment and experiment.stepSize)
+        internal_step = _positive(co_simulation and co_simulation.fixedInternalStepSize)
+        usual_step = _positive(experiment and experiment.stepSize)
+        tolerance = _positive(experiment and experiment.tolerance)
     except (ValueError, TypeError, AttributeError) as error:
         raise refuse(file.archive.path, f"has a broken modelDescription.xml: {error}") from error
     return Description(
@@ -59,20 +55,34 @@ def describe(path: Path, structural: Mapping[str, int] | None = None) -> Descrip
         variable_step=co_simulation is None or co_simulation.canHandleVariableCommunicationStepSize,
         internal_step=internal_step,
         usual_step=usual_step,
+        tolerance=tolerance,
         asynchronous=file.fmi == 2 and co_simulation is not None and bool(co_simulation.canRunAsynchronuously),
         can_get_and_set_state=all(x.canGetAndSetFMUstate for x in implementations.values()),
         whole=file.archive.whole,
     )
 
 
-def _seconds(written: str | float | None) -> float | None:
-    """A step size; None where none, or none that could be, is given.
+def _no_library(file: File) -> str:
+    """Why there is nothing to load, as a predicate."""
+    here = [name for name in file.archive.names if name.startswith(tuple(f"binaries/{f}/" for f in FOLDERS[file.fmi]))]
+    if libraries := [name for name in here if name.endswith(LIBRARY_SUFFIX)]:
+        wanted = " and ".join(sorted(set(file.libraries.values())))
+        return f"holds no {wanted}, as its model description calls it, but {', '.join(libraries)}; ask its supplier"
+    offered = ", ".join(file.archive.platforms) or "none"
+    return (
+        f"has no binary for this platform ({PLATFORM}); it has: {offered}. "
+        "Ask its supplier for one, or run on another platform"
+    )
+
+
+def _positive(written: str | float | None) -> float | None:
+    """A step size or tolerance; None where none, or none that could be, is given.
 
     Raises:
         ValueError: it is no number.
     """
-    step = float(written) if written is not None else 0.0
-    return step if step > 0.0 else None
+    number = float(written) if written is not None else 0.0
+    return number if number > 0.0 else None
 
 
 def open_fmu(

@@ -95,6 +95,11 @@ class FmuComponent(Component):
     @abstractmethod
     def _instantiate(self) -> None: ...
 
+    def _tolerance(self) -> tuple[bool, float]:
+        """Whether the FMU's own solver is told a tolerance, and which."""
+        told = self.description.tolerance if self.interface is Interface.CO_SIMULATION else None
+        return told is not None, told or 0.0
+
     def native(self) -> Native:
         """For `cosim.kernel`; valid until `terminate`."""
         dll = self._fmu.dll
@@ -356,7 +361,7 @@ class Fmi2Component(FmuComponent):
         self._call("fmi2SetString", references, len(references), values)
 
     def enter_initialization(self, start_time: float, stop_time: float) -> None:
-        self._call("fmi2SetupExperiment", 0, 0.0, start_time, 1, stop_time)
+        self._call("fmi2SetupExperiment", *self._tolerance(), start_time, 1, stop_time)
         self._call("fmi2EnterInitializationMode")
 
     def exit_initialization(self) -> None:
@@ -482,7 +487,7 @@ class Fmi3Component(FmuComponent):
         self._call("fmi3SetBinary", references, len(references), sizes, pointers, len(values))
 
     def enter_initialization(self, start_time: float, stop_time: float) -> None:
-        self._call("fmi3EnterInitializationMode", False, 0.0, start_time, True, stop_time)
+        self._call("fmi3EnterInitializationMode", *self._tolerance(), start_time, True, stop_time)
 
     def exit_initialization(self) -> None:
         self._call("fmi3ExitInitializationMode")

@@ -49,7 +49,9 @@ with contextlib.redirect_stdout(io.StringIO()):  # where FMPy has no logger for 
 
 __all__ = [
     "DO_STEP_STATUS",
+    "FOLDERS",
     "LAST_SUCCESSFUL_TIME",
+    "LIBRARY_SUFFIX",
     "LOG_LINES",
     "PLATFORM",
     "TERMINATED",
@@ -61,10 +63,17 @@ __all__ = [
     "fmi2_callbacks",
     "open_library",
     "read",
+    "runs_in_python",
     "status_name",
 ]
 
 PLATFORM: str = fmpy.platform_tuple
+FOLDERS: Mapping[int, tuple[str, ...]] = {
+    2: (fmpy.platform, fmpy.platform_tuple),
+    3: (fmpy.platform_tuple,),
+}
+"""What this platform is called under `binaries/`: `linux64` in FMI 2.0, `x86_64-linux` in 3.0 and by some in 2.0."""
+LIBRARY_SUFFIX: str = fmpy.sharedLibraryExtension
 LAST_SUCCESSFUL_TIME: int = fmi2LastSuccessfulTime
 DO_STEP_STATUS: int = fmi2DoStepStatus
 TERMINATED: int = fmi2Terminated
@@ -89,6 +98,7 @@ class File:
         model: FMPy's `ModelDescription`.
         implementations: what the file says of each interface that can be used here.
         library_folder: name of the folder under `binaries/` for this platform, or None.
+        libraries: name of the library in it, by the model identifier of an interface.
         buffers: memory for the values of its variables, shared by its instances: one is called at a time.
     """
 
@@ -96,6 +106,7 @@ class File:
     model: Any
     implementations: Mapping[Interface, Any]
     library_folder: str | None
+    libraries: Mapping[str, str]
     buffers: dict[tuple[Any, ...], Any] = field(default_factory=dict)
 
     @property
@@ -130,7 +141,7 @@ def _read_version(name: str, _mtime_ns: int, _size: int) -> File:
     ):
         if implementation is None:
             continue
-        if implementation.needsExecutionTool:
+        if implementation.needsExecutionTool and not runs_in_python(model):
             needing_tool.append(interface)
         else:
             implementations[interface] = implementation
@@ -139,11 +150,16 @@ def _read_version(name: str, _mtime_ns: int, _size: int) -> File:
         raise refuse(path, f"only works together with {tool} (needsExecutionTool); export it without that need")
     if not implementations:
         raise refuse(path, "offers neither Model Exchange nor Co-Simulation")
-    folder = _library_folder(archive, model, implementations)
+    folder, libraries = _libraries(archive, model, implementations)
     if folder is not None and archive.whole:
-        for identifier in {x.modelIdentifier for x in implementations.values()}:
-            _check_library(path, f"binaries/{folder}/{identifier}{fmpy.sharedLibraryExtension}")
-    return File(archive, model, implementations, folder)
+        for library in set(libraries.values()):
+            _check_library(path, f"binaries/{folder}/{library}")
+    return File(archive, model, implementations, folder, libraries)
+
+
+def runs_in_python(model: Any) -> bool:
+    """Whether the tool that the FMU needs is Python, which is here: PythonFMU declares it so."""
+    return str(model.generationTool or "").startswith("PythonFMU")
 
 
 def _check_library(path: Path, name: str) -> None:
@@ -188,12 +204,26 @@ def _first_problem(file: io.BytesIO) -> str:
     return ""
 
 
-def _library_folder(archive: Archive, model: Any, implementations: Mapping[Interface, Any]) -> str | None:
-    """FMI 2.0 names the platform `linux64`, FMI 3.0 `x86_64-linux`, which some use in FMI 2.0 too."""
-    folders = (fmpy.platform_tuple,) if int(model.fmiMajorVersion) == 3 else (fmpy.platform, fmpy.platform_tuple)
-    libraries = {x.modelIdentifier + fmpy.sharedLibraryExtension for x in implementations.values()}
+def _libraries(
+    archive: Archive, model: Any, implementations: Mapping[Interface, Any]
+) -> tuple[str | None, Mapping[str, str]]:
+    """The folder for this platform, and the library in it by model identifier; None where there is none.
+
+    FMUs that somebody renamed may hold a library of another name than their model identifier; if it is the only one,
+    it is meant.
+    """
+    folders = FOLDERS[int(model.fmiMajorVersion)]
+    proper = {x.modelIdentifier: x.modelIdentifier + LIBRARY_SUFFIX for x in implementations.values()}
     names = set(archive.names)
-    return next((f for f in folders if all(f"binaries/{f}/{library}" in names for library in libraries)), None)
+    for folder in folders:
+        if all(f"binaries/{folder}/{library}" in names for library in proper.values()):
+            return folder, proper
+    for folder in folders:
+        paths = [PurePosixPath(name) for name in archive.names if name.startswith(f"binaries/{folder}/")]
+        found = [path.name for path in paths if path.suffix == LIBRARY_SUFFIX and len(path.parts) == 3]
+        if len(found) == 1 and len(proper) == 1:
+            return folder, dict.fromkeys(proper, found[0])
+    return None, proper
 
 
 def findings(path: Path) -> list[str]:
@@ -220,10 +250,12 @@ def _load(file: File, interface: Interface) -> Any:
     once = file.implementations[interface].canBeInstantiatedOnlyOncePerProcess
     folder = _unpacked.__wrapped__(file) if once else _unpacked(file)  # a copy of its own for every such instance
     identifier = file.implementations[interface].modelIdentifier
-    library = folder / "binaries" / str(file.library_folder) / (identifier + fmpy.sharedLibraryExtension)
+    library = folder / "binaries" / str(file.library_folder) / file.libraries[identifier]
     arguments = {"guid": file.model.guid, "modelIdentifier": identifier, "unzipDirectory": str(folder)}
     if file.fmi == 2:
         arguments["libraryPath"] = str(library)
+    else:  # FMPy goes by the identifier, and asks the library for no other name
+        arguments["modelIdentifier"] = library.stem
     used = {v.type for v in file.model.modelVariables}
     types = frozenset(_STORED_AS[t][file.fmi - 2] if t in _STORED_AS else t for t in used)
     working_directory = Path.cwd()
