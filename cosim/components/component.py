@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.components.units import IDENTITY, Measure, Scale
+from cosim.errors import DiscardedStepError
 
 Floats = NDArray[np.float64]
 Value = float | int | bool | str
@@ -226,7 +227,32 @@ class Component(ABC):
 
     def step_in_halves(self, time: float, step: float, halvings: int) -> None:
         """The same; a step that is discarded is made again in halves, so often one into another."""
-        raise NotImplementedError
+        before, self.goes_back = self.goes_back, True
+        try:
+            self._step_in_halves(time, step, halvings)
+        finally:
+            self.goes_back = before
+
+    def _step_in_halves(self, time: float, step: float, halvings: int) -> None:
+        if self._try_step(time, step, last=halvings == 0):
+            return
+        self._step_in_halves(time, 0.5 * step, halvings - 1)
+        self._step_in_halves(time + 0.5 * step, 0.5 * step, halvings - 1)
+
+    def _try_step(self, time: float, step: float, *, last: bool) -> bool:
+        """Make a step; False, and back where it began, if it is discarded and this is not the last attempt."""
+        state = self.save()
+        try:
+            self.step(time, step)
+        except DiscardedStepError as error:
+            if last:
+                shorter = f"; it is the shortest step that `retries` allows ({step:.3g} s)"
+                raise DiscardedStepError(self.name, error.message + shorter, error.log) from None
+            self.restore(state)
+            return False
+        finally:
+            self.forget(state)
+        return True
 
     def enter_step_mode(self) -> None:
         """Back from Event Mode."""

@@ -15,7 +15,7 @@ import pkgutil
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -23,9 +23,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cosim.components.component import Component, Description, Floats, Interface, Value, Variable
+from cosim.components.saving import attributes_of, copied, from_bytes, put_back, to_bytes
 from cosim.components.start_values import start_values
 from cosim.components.units import measure
-from cosim.errors import ComponentError, ConfigError, Problem, suggest
+from cosim.errors import ComponentError, ConfigError, DiscardedStepError, Problem, suggest
 
 _ARRAY_TYPES: dict[str, Any] = {
     "Float64": np.float64,
@@ -170,6 +171,10 @@ class Structural(Parameter):
         super().__init__(start, dtype="UInt64", description=description)
 
 
+class Discard(Exception):  # noqa: N818 - FMI's name
+    """Raise it in `step`: this step cannot be made, but shorter ones may (FMI: Discard)."""
+
+
 class PythonComponent:
     """Derive from this, declare variables as class attributes and implement what the component needs.
 
@@ -209,6 +214,18 @@ class PythonComponent:
         """Model Exchange: the time of the next time event after `time`, in seconds, if there is one."""
         return None
 
+    def save(self) -> Any:
+        """What it holds beside its variables, so that steps can be taken back: here, a deep copy of its attributes.
+
+        Whoever overrides it returns something that does not change any more, and implements `restore` too. A class with
+        `save = None` says that nothing can be taken back, as where it drives a device.
+        """
+        return copied(self, attributes_of(self))
+
+    def restore(self, saved: Any) -> None:
+        """Go back to what `save` returned, perhaps more than once."""
+        put_back(self, copied(self, saved))
+
     def values_of(self, name: str) -> NDArray[Any]:
         """The memory of a variable."""
         try:
@@ -230,6 +247,11 @@ def describe_python(dotted: str, structural: Mapping[str, int] | None = None) ->
     """
     cls = load(dotted)
     declared = _declarations(cls)
+    for name in declared:
+        if hasattr(PythonComponent, name):
+            raise _refuse(f"{dotted} declares a variable {name!r}, which is the name of a method; choose another")
+    if cls.save is not None and (cls.save is PythonComponent.save) != (cls.restore is PythonComponent.restore):
+        raise _refuse(f"{dotted} implements one of save and restore; implement both, or write save = None")
     sizes = {name: int(np.asarray(d.start)) for name, d in declared.items() if isinstance(d, Structural)}
     sizes |= {name: value for name, value in (structural or {}).items() if name in sizes}
     try:
@@ -252,6 +274,7 @@ def describe_python(dotted: str, structural: Mapping[str, int] | None = None) ->
         fmi="python",
         interfaces=_interfaces(cls, dotted),
         variables=variables,
+        can_get_and_set_state=cls.save is not None,
         sha256=hashlib.sha256(Path(source).read_bytes()).hexdigest() if source else "",
     )
 
@@ -342,6 +365,17 @@ def _say(error: BaseException) -> str:
 
 
 # --- instances ------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class _Saved:
+    """A live instance as it was; `held` is what its class says that it holds beside its variables."""
+
+    values: Mapping[str, NDArray[Any]]
+    held: Any
+    time: float
+    stale: bool
+    initialising: bool
+
+
 class PythonInstance(Component):
     """A live instance of a `PythonComponent`."""
 
@@ -349,7 +383,13 @@ class PythonInstance(Component):
         self.name = name
         self.interface = interface
         self.description = description
-        self._model: PythonComponent = self._run(load(dotted))
+        self._dotted = dotted
+        self._begin()
+
+    def _begin(self) -> None:
+        """A new instance of the class, with all values at the start values that are declared."""
+        description = self.description
+        self._model: PythonComponent = self._run(load(self._dotted))
         variables = description.variables
         values = {v.name: np.array(v.start, _ARRAY_TYPES[v.dtype]).reshape(v.shape) for v in variables.values()}
         declared = _declarations(type(self._model))
@@ -368,6 +408,8 @@ class PythonInstance(Component):
         """Call the user's code; whatever it raises becomes a `ComponentError` that says where."""
         try:
             return method(*arguments)
+        except Discard as error:
+            raise DiscardedStepError(self.name, f"discarded the step{f': {error}' if str(error) else ''}") from error
         except (Exception, SystemExit) as error:
             raise ComponentError(self.name, _say(error)) from error
 
@@ -417,6 +459,41 @@ class PythonInstance(Component):
 
     def terminate(self) -> None:
         """There is nothing to free."""
+
+    def reset(self) -> None:
+        self._begin()
+
+    # --- saved states -----------------------------------------------------------------------------------------------
+    def save(self) -> object:
+        values = {name: array.copy() for name, array in self._model._values.items()}
+        try:
+            held = self._run(self._model.save)
+        except ComponentError as error:
+            raise ComponentError(self.name, f"its state cannot be saved: {error.message}") from error
+        return _Saved(values, held, self._time, self._stale, self._initialising)
+
+    def restore(self, saved: object) -> None:
+        assert isinstance(saved, _Saved)
+        for name, array in saved.values.items():
+            self._model._values[name][...] = array
+        self._run(self._model.restore, saved.held)
+        self._time, self._stale, self._initialising = saved.time, saved.stale, saved.initialising
+
+    def forget(self, saved: object) -> None:
+        """There is nothing to free."""
+
+    def to_bytes(self, saved: object) -> bytes:
+        """What `save` returned, for `from_bytes`, here or in another process.
+
+        Raises:
+            Exception: the component holds something that cannot be pickled.
+        """
+        return to_bytes(self._model, saved)
+
+    def from_bytes(self, data: bytes) -> object:
+        """For `restore`."""
+        saved: object = from_bytes(self._model, data)
+        return saved
 
     # --- Co-Simulation ----------------------------------------------------------------------------------------------
     def step(self, time: float, step: float) -> None:

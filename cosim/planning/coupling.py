@@ -53,7 +53,8 @@ def choose_coupling(
     unsaved = [name for name, description in descriptions.items() if not description.can_get_and_set_state]
     if retries and unsaved:
         problems.error(
-            f"'retries' takes FMUs that can save their state, and {_quoted(unsaved)} cannot (canGetAndSetFMUState); "
+            f"'retries' takes components that can save their state, and {_quoted(unsaved)} cannot (an FMU: "
+            "canGetAndSetFMUState; a Python class: save = None); "
             "leave it out, or take a shorter step",
             node.locate("coupling", "retries"),
         )

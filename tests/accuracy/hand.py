@@ -1,4 +1,4 @@
-"""A controller in Python, which cannot save its state."""
+"""A controller in Python, once as it is and once as one that nothing can take back."""
 
 from __future__ import annotations
 
@@ -14,3 +14,9 @@ class Hand(PythonComponent):
 
     def outputs(self, time: float) -> None:
         self.u = 20.0 * (0.4 - self.p) - 3.0 * self.v
+
+
+class Device(Hand):
+    """The same, said to be a device."""
+
+    save = None

@@ -32,6 +32,7 @@ TRANSIENT = Oscillators(d=(6.0, 3.0), d_c=3.0)
 
 PD = "{fmu: PDController, start: {k_p: 20, k_d: 3, p_ref: 0.4, v_ref: 0, u_ref: 0}}"
 HAND = '{python: "tests.accuracy.hand:Hand"}'
+DEVICE = '{python: "tests.accuracy.hand:Device"}'
 LOOP = SCENARIO.replace(PD.replace("{", "{{").replace("}", "}}"), "{pd}").replace(
     "method: {method}, step: {step}", "{coupling}"
 )
@@ -129,11 +130,24 @@ def test_fast_transients_cost_less_than_with_fixed_steps(built: Path) -> None:
 def test_without_saved_states_the_change_of_the_inputs_decides(method: str) -> None:
     errors = []
     for tolerance in (1e-3, 1e-5):
-        seen = played(LOOP.format(pd=HAND, coupling=f"method: {method}, tolerance: {tolerance}"))
+        seen = played(LOOP.format(pd=DEVICE, coupling=f"method: {method}, tolerance: {tolerance}"))
         (account,) = seen.accounts
         assert (account.method, account.rejected) == ("change of the inputs", 0)
         errors.append(float(np.abs(np.array(seen.rows) - exact()).max()))
     assert errors[1] < 0.2 * errors[0] < 0.02
+
+
+def test_a_python_component_takes_steps_back_as_an_fmu_does() -> None:
+    fmu, hand = (played(LOOP.format(pd=pd, coupling="method: midpoint, tolerance: 1e-7")) for pd in (PD, HAND))
+    (account,) = hand.accounts
+    assert (account.method, account.steps, account.rejected) == ("step doubling", *counts(fmu))
+    assert account.rejected > 0
+    np.testing.assert_allclose(hand.rows, fmu.rows, atol=1e-12)
+
+
+def counts(seen: Accounted) -> tuple[int, int]:
+    (account,) = seen.accounts
+    return account.steps, account.rejected
 
 
 @pytest.mark.parametrize("rollback", [True, False])

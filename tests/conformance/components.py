@@ -95,6 +95,27 @@ class Endless(Ramp):
         super().step(time, step)
 
 
+class Counting(Ramp):
+    """Holds more than its variables."""
+
+    def initialise(self, time: float) -> None:
+        self.past: list[float] = []
+
+    def step(self, time: float, step: float) -> None:
+        self.past.append(self.u)
+        self.y = sum(self.past) * step
+
+
+class Blurting(Counting):
+    """Saves what goes on changing."""
+
+    def save(self) -> list[float]:
+        return self.past
+
+    def restore(self, saved: list[float]) -> None:
+        self.past = saved
+
+
 class Picky(Ramp):
     """Refuses what it declares."""
 

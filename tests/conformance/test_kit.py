@@ -29,19 +29,28 @@ def test_shipped_fmus(name: str) -> None:
     }
 
 
-@pytest.mark.parametrize("cls", [components.Lag, components.Ramp])
+@pytest.mark.parametrize("cls", [components.Lag, components.Ramp, components.Counting])
 def test_python_classes_that_keep_to_the_rules(cls: type) -> None:
-    check(cls).require()
+    report = check(cls)
+    report.require()
+    assert {"reset", "save and restore"} <= {f.check for f in report.findings if f.verdict is Verdict.OK}
 
 
 BROKEN = [
     (components.Forgetful, {"step splitting": "y differs by "}),
     (
         components.Shared,
-        {"determinism": "two runs alike differ: y by ", "independence": "y by ", "step splitting": "y differs by"},
+        {
+            "determinism": "two runs alike differ: y by ",
+            "independence": "y by ",
+            "reset": "after a reset it remembers: y by ",
+            "save and restore": "what follows a restored state differs: y by",
+            "step splitting": "y differs by",
+        },
     ),
     (components.Direct, {"dependencies": "y follows u at once, which is not declared among its dependencies"}),
     (components.Remembering, {"evaluation": "derivatives at one point differ by"}),
+    (components.Blurting, {"save and restore": "what follows a restored state differs: y by"}),
     (components.Fixed, {"dimensions": "n = 1: IndexError: index 1 is out of bounds"}),
     (
         components.Fragile,

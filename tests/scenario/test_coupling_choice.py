@@ -89,7 +89,7 @@ def test_auto(descriptions: list[Description], method: Method) -> None:
         (
             "{retries: 3}",
             [describe(CS), describe(CS, can_get_and_set_state=True)],
-            "'retries' takes FMUs that can save their state, and 'plant' cannot (canGetAndSetFMUState)",
+            "'retries' takes components that can save their state, and 'plant' cannot (an FMU: canGetAndSetFMUState; a",
         ),
     ],
 )
