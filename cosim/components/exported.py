@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar
 from xml.etree.ElementTree import Element
 
@@ -15,6 +16,7 @@ import numpy as np
 from cosim.components.component import Description, Floats, Interface, Variable
 from cosim.components.python import PythonInstance, describe_python
 from cosim.components.units import BASE
+from cosim.errors import ComponentError, DiscardedStepError
 
 SOLVER_STEP = 1e-3
 """Co-Simulation of a component with derivatives: the longest step of the Runge-Kutta method, in seconds."""
@@ -54,12 +56,21 @@ class Exported:
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Co-Simulation."""
-        if self._own.n_states and Interface.CO_SIMULATION not in self._described.interfaces:
-            self._integrate(current_time, step_size)
-        else:
-            self._own.step(current_time, step_size)
+        try:
+            if self._own.n_states and Interface.CO_SIMULATION not in self._described.interfaces:
+                self._integrate(current_time, step_size)
+            else:
+                self._own.step(current_time, step_size)
+        except DiscardedStepError as error:
+            self._say(error.message)
+            return False
         self.time = current_time + step_size
         return True
+
+    def _say(self, message: str) -> None:
+        from pythonfmu3 import Fmi3Status
+
+        self.log(message, Fmi3Status.discard)  # type: ignore[attr-defined] # of PythonFMU3's
 
     def _integrate(self, start: float, length: float) -> None:
         own, n = self._own, max(1, math.ceil(length / SOLVER_STEP - 1e-9))
@@ -116,6 +127,44 @@ class Exported:
             nextEventTime=0.0 if event is None else event,
         )
 
+    # --- saved states -------------------------------------------------------------------------------------------------
+    def _get_fmu_state(self) -> _Kept:
+        return _Kept(self._own, (self.time, self._start_time, self._own.save()))
+
+    def _set_fmu_state(self, state: _Kept | bytes) -> None:
+        if isinstance(state, _Kept) and state.own is not self._own:  # of before a reset
+            state = state.as_bytes()
+        times_and_state: Any = self._own.from_bytes(state) if isinstance(state, bytes) else state.content
+        self.time, self._start_time, saved = times_and_state
+        self._own.restore(saved)
+
+    @staticmethod
+    def _fmu_state_to_bytes(state: _Kept | bytes) -> bytes:
+        return state if isinstance(state, bytes) else state.as_bytes()
+
+    @staticmethod
+    def _fmu_state_from_bytes(state: bytes) -> bytes:
+        return state
+
+    def _abilities(self) -> tuple[bool, bool]:
+        """Whether the state can be saved, and whether that can be written as bytes; as far as start values can tell."""
+        can = self._described.can_get_and_set_state
+        own = PythonInstance(self.TARGET, self.TARGET, Interface.CO_SIMULATION, self._described)
+        try:
+            own.enter_initialization(0.0, math.inf)
+            own.exit_initialization()
+        except ComponentError:
+            return can, can
+        try:
+            saved = own.save()
+        except ComponentError:
+            return False, False
+        try:
+            own.to_bytes(saved)
+        except Exception:
+            return can, False
+        return can, can
+
     # --- the model description ----------------------------------------------------------------------------------------
     def to_xml(self, model_options: Mapping[str, str] | None = None) -> Element:
         """PythonFMU3's, with what it has no words for: direct dependencies, and what it can and needs."""
@@ -127,12 +176,30 @@ class Exported:
             variable = variables[names[output.get("valueReference")] or ""]
             if variable.dependencies is not None:
                 output.set("dependencies", " ".join(references[name] or "" for name in variable.dependencies))
+        can_save, can_serialize = self._abilities()
         for kind in ("ModelExchange", "CoSimulation"):
             for node in root.iterfind(kind):
                 node.set("needsExecutionTool", "false")
+                node.set("canGetAndSetFMUState", str(can_save).lower())
+                node.set("canSerializeFMUState", str(can_serialize).lower())
                 if kind == "CoSimulation":
                     node.set("canHandleVariableCommunicationStepSize", "true")
         return root
+
+
+@dataclass
+class _Kept:
+    """A saved state, and the instance whose it is."""
+
+    own: PythonInstance
+    content: tuple[float, float, object]
+    written: bytes | None = None
+
+    def as_bytes(self) -> bytes:
+        """Asked for twice: for their number, and for themselves."""
+        if self.written is None:
+            self.written = self.own.to_bytes(self.content)
+        return self.written
 
 
 class _Registration:

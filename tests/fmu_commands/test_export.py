@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fmpy import read_model_description
 
 from cosim.cli import main
-from cosim.conformance import check
+from cosim.conformance import Verdict, check
 from cosim.planning import plan
 from cosim.scenario.reading import read_scenario
 from tests.components.misbehaving import cosim
@@ -19,7 +20,7 @@ from tests.distributed.networks import Record, in_process
 MODULE = '''
 import sys
 
-from cosim.components.python import Input, Output, Parameter, PythonComponent, State, Structural
+from cosim.components.python import Discard, Input, Output, Parameter, PythonComponent, State, Structural
 
 
 class Motor(PythonComponent):
@@ -74,6 +75,31 @@ class Talking(Stepping):
         print("the FMU complains", file=sys.stderr)
         if time > 0.8:
             raise ValueError("the FMU has enough")
+
+
+class Counting(Stepping):
+    def __init__(self):
+        self.past = [0.0]
+
+    def step(self, time, step):
+        self.past.append(self.u * time)
+        self.y = sum(self.past)
+
+
+class Tied(Stepping):
+    def __init__(self):
+        self.function = lambda: 1
+
+
+class Device(Stepping):
+    save = None
+
+
+class Hasty(Stepping):
+    def step(self, time, step):
+        self.y = self.y + step
+        if step > 0.003:
+            raise Discard("too long")
 '''
 SCENARIO = """
 period: 100 ms
@@ -105,8 +131,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.syspath_prepend(path)
         assert main(["fmu", "export", "driven_motors:Motor"]) == 0
         assert main(["fmu", "export", "driven_motors:Follow", "--size", "count=1", "-o", "following.fmu"]) == 0
-        assert main(["fmu", "export", "driven_motors:Stepping"]) == 0
-        assert main(["fmu", "export", "driven_motors:Talking"]) == 0
+        for name in ("Stepping", "Counting", "Tied", "Device", "Hasty", "Talking"):
+            assert main(["fmu", "export", f"driven_motors:{name}"]) == 0
     return path
 
 
@@ -174,8 +200,93 @@ def test_what_it_prints_goes_to_the_run_folder(folder: Path, tmp_path: Path, loo
 
 def test_it_keeps_to_the_rules(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(folder)
-    for name in ("Motor", "following", "Stepping"):
-        check(folder / f"{name}.fmu").require()
+    for name, interfaces in (("Motor", 2), ("following", 2), ("Stepping", 1)):
+        report = check(folder / f"{name}.fmu")
+        report.require()
+        restored = [f for f in report.findings if (f.check, f.verdict) == ("save and restore", Verdict.OK)]
+        assert len(restored) == interfaces
+
+
+SERIALIZED = """
+import numpy, sys
+from fmpy import extract, read_model_description
+from fmpy.fmi3 import FMU3Slave
+
+def opened():
+    fmu = FMU3Slave(guid=description.guid, unzipDirectory=folder, instanceName="one",
+                    modelIdentifier=description.coSimulation.modelIdentifier)
+    fmu.instantiate()
+    fmu.enterInitializationMode()
+    fmu.exitInitializationMode()
+    return fmu
+
+def drive(fmu):
+    for i in range(5):
+        fmu.setFloat64([u], [1.0 + i])
+        fmu.doStep(0.1 * (n + i), 0.1)
+    return fmu.getFloat64([y])[0]
+
+folder, description = extract(sys.argv[1]), read_model_description(sys.argv[1])
+assert description.coSimulation.canSerializeFMUstate
+u, y = (next(v.valueReference for v in description.modelVariables if v.name == name) for name in "uy")
+one, n = opened(), 0
+drive(one)
+state = one.getFMUState()
+data = one.serializeFMUState(state)
+one.freeFMUState(state)
+n = 5
+expected = drive(one)
+other = opened()
+state = other.deserializeFMUState(data)
+for fmu in (other, one):
+    fmu.setFMUState(state)
+    assert drive(fmu) == expected > 0.0
+one.reset()
+one.enterInitializationMode()
+one.exitInitializationMode()
+one.setFMUState(state)
+assert drive(one) == expected
+"""
+
+
+def elsewhere(folder: Path, script: str, *arguments: str) -> str:
+    """What a script prints in another process."""
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", script, *arguments],
+        cwd=folder,
+        text=True,
+        capture_output=True,
+        timeout=100,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_another_tool_carries_a_state_from_one_instance_to_another(folder: Path, tmp_path: Path) -> None:
+    elsewhere(tmp_path, SERIALIZED, str(folder / "Counting.fmu"))
+
+
+@pytest.mark.parametrize(
+    ("name", "can"),
+    [("Counting", (True, True)), ("Stepping", (True, True)), ("Tied", (True, False)), ("Device", (False, False))],
+)
+def test_what_an_fmu_says_that_it_can(folder: Path, name: str, can: tuple[bool, bool]) -> None:
+    co_simulation = read_model_description(folder / f"{name}.fmu").coSimulation
+    assert (co_simulation.canGetAndSetFMUstate, co_simulation.canSerializeFMUstate) == can
+
+
+@pytest.mark.parametrize("coupling", ["step: 10 ms, retries: 2", "tolerance: 1e-3"])
+def test_discarded_steps(folder: Path, monkeypatch: pytest.MonkeyPatch, coupling: str) -> None:
+    monkeypatch.syspath_prepend(folder)
+    records = []
+    for part in ('python: "driven_motors:Hasty"', "fmu: ./Hasty.fmu"):
+        text = f"period: 100 ms\nduration: 500 ms\nagents:\n  1:\n    components: {{part: {{{part}}}}}\n"
+        (folder / "hasty.yaml").write_text(text + f"coupling: {{method: gauss-seidel, {coupling}}}\n")
+        record, error = in_process(plan(read_scenario(folder / "hasty.yaml")).plan)
+        assert error is None
+        records.append(record)
+    assert records[0] == records[1]
 
 
 ELSEWHERE = """
@@ -193,15 +304,7 @@ print(result["angle"][-1])
 def test_another_tool_runs_it_without_netcosim_or_the_module(folder: Path, tmp_path: Path, kind: str) -> None:
     repository = str(Path(__file__).parents[2])
     script = ELSEWHERE.format(repository=repository + "/cosim", fmu=str(folder / "Motor.fmu"), kind=kind)
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", script],
-        cwd=tmp_path,
-        text=True,
-        capture_output=True,
-        timeout=100,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    printed = elsewhere(tmp_path, script)
     from scipy.integrate import solve_ivp
 
     def slope(_t: float, x: np.ndarray) -> list[float]:
@@ -209,7 +312,7 @@ def test_another_tool_runs_it_without_netcosim_or_the_module(folder: Path, tmp_p
         return [(0.1 - twist - 0.1 * x[0]) / 0.01, (twist - 0.1 * x[1]) / 0.02, x[0] - x[1]]
 
     exact = solve_ivp(slope, (0, 1), [0.0, 1.0, 0.5], rtol=1e-10, atol=1e-12).y[2, -1]
-    assert float(done.stdout.split()[-1]) == pytest.approx(exact, abs=1e-4)
+    assert float(printed.split()[-1]) == pytest.approx(exact, abs=1e-4)
 
 
 @pytest.mark.parametrize(
