@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.components.component import Element, Variable
-from cosim.components.presented import Scales, pieces
+from cosim.components.presented import Scales, pieces, read_back
 from cosim.plan import Port
 
 Positions = NDArray[np.int32]
@@ -140,7 +140,7 @@ class Places:
         return np.arange(first, first + size, dtype=np.int32)
 
     def add_output(self, port: Port) -> None:
-        """Places for an output; of a mapped one, for all numbers of the own variables that it stands for."""
+        """Places for what is read; of a mapped variable, for all numbers of the own variables that it stands for."""
         key, variable = key_of(port), port.variable
         if variable.elements is None:
             self._of[key] = self.skip(variable.size, port.component)
@@ -148,7 +148,7 @@ class Places:
             return
         positions = np.empty(variable.size, dtype=np.int32)
         self._moves[key] = []
-        for piece in pieces(variable.elements):
+        for piece in pieces(read_back(variable)):
             places = self.skip(piece.own.size, port.component)
             wanted = piece.places >= 0
             positions[piece.places[wanted]] = places[wanted]

@@ -20,6 +20,14 @@ def elements_of(variable: Variable) -> tuple[Element, ...]:
     return tuple(Element(variable, i) for i in range(variable.size))
 
 
+def read_back(variable: Variable) -> tuple[Element, ...]:
+    """The same, with scales from what the component has to what its agent sees: an input's go the other way."""
+    elements = elements_of(variable)
+    if variable.causality != "input":
+        return elements
+    return tuple(replace(element, scale=element.scale.inverse()) for element in elements)
+
+
 def element_of(variable: Variable, index: int) -> Element:
     """One number of an own variable; of a flattened FMI 2.0 array, the scalar that it is."""
     if not variable.shape or len(variable.references) != variable.size or variable.size == 1:

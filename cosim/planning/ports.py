@@ -83,7 +83,9 @@ class Ports:
 def type_mismatch(source: Variable, target: Variable) -> str | None:
     """Why values of one type cannot feed another, or None."""
     same = source.dtype == target.dtype
-    if same or target.dtype in FLOATS or (source.dtype in _WHOLE and target.dtype in INTEGERS):
+    whole = source.dtype in _WHOLE and target.dtype in INTEGERS
+    item = source.dtype in INTEGERS and target.dtype == "Enumeration"
+    if same or whole or item or target.dtype in FLOATS:
         return None
     return f"is of type {source.dtype} and cannot feed {{}} of type {target.dtype}"
 

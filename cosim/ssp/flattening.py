@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from cosim.components.units import Measure, Scale
-from cosim.errors import Problem
+from cosim.errors import Problem, Severity
 from cosim.ssp.parameters import Binding, Entry, Parameter
 from cosim.ssp.structure import Component, Connection, Connector, System
 
@@ -77,9 +77,10 @@ def flatten(system: System) -> Flat:
     outgoing: dict[End, list[End]] = {}
     for path, each in systems.items():
         for connection in each.connections:
-            start, end = (_end(path, each, name, connection, flat) for name in (connection.start, connection.end))
-            if start is None or end is None:
+            found = [_end(path, each, name, connection, flat) for name in (connection.start, connection.end)]
+            if None in found:
                 continue
+            start, end = _in_the_direction_of_the_flow([end for end in found if end], path, connection, systems, flat)
             if end in incoming:
                 text = f"{'.'.join((*end[0], end[1]))} is connected twice"
                 flat.problems.append(Problem(text, connection.node.where))
@@ -132,6 +133,30 @@ def _end(path: Path, system: System, end: tuple[str | None, str], connection: Co
     return (*path, element), connector
 
 
+_GIVES = {"output", "calculatedParameter", "constant", "local"}
+_TAKES = {"input", "parameter", "structuralParameter", "inout"}
+
+
+def _in_the_direction_of_the_flow(
+    ends: Sequence[End], path: Path, connection: Connection, systems: Mapping[Path, System], flat: Flat
+) -> Sequence[End]:
+    """Which of them gives the value: kinds decide, not the words start and end (SSP 2.0, 5.3.4)."""
+    gives = [_gives(end, path, systems, flat) for end in ends]
+    if gives[0] is not None and gives[0] == gives[1]:
+        names, what = [".".join((*end[0], end[1])) for end in ends], "give" if gives[0] else "take"
+        text = f"connects {names[0]} and {names[1]}, which both {what} a value"
+        flat.problems.append(Problem(text, connection.node.where))
+    return ends[::-1] if gives[0] is False or gives[1] is True else ends
+
+
+def _gives(end: End, path: Path, systems: Mapping[Path, System], flat: Flat) -> bool | None:
+    """Whether a connector gives a value to the connections of a system; None where nothing says so."""
+    declared = _declared(end, systems, flat)
+    if declared is None or declared.kind not in _GIVES | _TAKES:
+        return None
+    return (declared.kind in _GIVES) is (end[0] != path)  # a system's own input gives to what is inside
+
+
 def _declared(end: End, systems: Mapping[Path, System], flat: Flat) -> Connector | None:
     owner = systems.get(end[0]) or flat.components[end[0]]
     return owner.connectors.get(end[1])
@@ -146,16 +171,16 @@ def _wire(
 ) -> None:
     """Follow a component's input back to an output of an FMU, or to an input of the outermost system."""
     kind = component.connectors[target[1]].kind if target[1] in component.connectors else "input"
-    if kind != "input":
-        text = f"a connection to the {kind} {'.'.join((*target[0], target[1]))} is not supported; bind its value"
-        flat.problems.append(Problem(text, incoming[target][1].node.where))
-        return
     ends, end = [_declared(target, systems, flat)], target
     through: list[Connection] = []
     while end in incoming and len(through) <= len(incoming):
         end, connection = incoming[end]
         through.append(connection)
         ends.append(_declared(end, systems, flat))
+        if end[0] in flat.components and kind != "input":
+            text = f"a connection to the {kind} {'.'.join((*target[0], target[1]))} is not supported; bind its value"
+            flat.problems.append(Problem(text, incoming[target][1].node.where))
+            return
         if end[0] in flat.components:
             flat.wires.append(Wire(end, target, ends[::-1], through[::-1]))
             return
@@ -201,11 +226,21 @@ def _bind(
     for binding in system.bindings:
         for name, setting, entry in _settings(binding):
             targets = list(_targets(path, name, outgoing, systems, flat))
-            if not targets and name not in system.connectors:
+            if not targets and not _knows(path, name, systems):
                 node = setting.parameter.node if entry is None else entry.node
-                flat.problems.append(Problem(f"system {system.name!r} has no parameter {name!r}", node.where))
+                text = f"system {system.name!r} has no parameter {name!r}; it is ignored"
+                flat.problems.append(Problem(text, node.where, Severity.WARNING))
             for target in targets:
                 flat.settings[target] = setting
+
+
+def _knows(path: Path, name: str, systems: Mapping[Path, System]) -> bool:
+    """Whether a hierarchical name is that of a connector of the system or of one in it."""
+    inner = [(element, each) for element, each in systems[path].elements.items() if isinstance(each, System)]
+    return name in systems[path].connectors or any(
+        name.startswith(f"{element}.") and _knows((*path, element), name.removeprefix(f"{element}."), systems)
+        for element, _ in inner
+    )
 
 
 def _settings(binding: Binding) -> Iterator[tuple[str, Setting, Entry | None]]:

@@ -9,17 +9,18 @@ from typing import Any
 
 from cosim.components.component import Description, Value, Variable
 from cosim.components.units import IDENTITY, Measure, Scale, conversion, measure
-from cosim.errors import ConfigError, Problem, suggest
+from cosim.errors import ConfigError, Problem, Severity, suggest
 from cosim.scenario.source import Lines, dump
 from cosim.ssp.flattening import End, Flat, Setting, Wire, flatten
 from cosim.ssp.package import Package
 from cosim.ssp.structure import Connection, Connector, Reader, Structure
+from network.units import NANOSECONDS_PER_SECOND, format_duration
 
 _ELEMENT = re.compile(r"(?P<array>.+)\[(?P<indices>\d+(?:, ?\d+)*)\]")
 
 
-def import_package(path: Path, out: Path) -> list[Path]:
-    """Write the scenario of a package, and its FMUs into a folder beside it; the files written.
+def import_package(path: Path, out: Path) -> tuple[list[Path], list[Problem]]:
+    """Write the scenario of a package, and its FMUs into a folder beside it; the files written, and warnings.
 
     Raises:
         ConfigError: the package is broken, or holds what is not supported; or a file exists already.
@@ -27,10 +28,13 @@ def import_package(path: Path, out: Path) -> list[Path]:
     package = Package(path)
     structure = Reader(package).read()
     flat = flatten(structure.system)
+    if not flat.components:
+        raise structure.system.node.error(f"system {structure.system.name!r} has no components")
     folder = f"{out.stem}_fmus"
     files = _place(package, flat, out.parent / folder)
     try:
-        text = _Import(structure, flat, {member: file for member, (file, _) in files.items()}, folder).text(path.name)
+        work = _Import(structure, flat, {member: file for member, (file, _) in files.items()}, folder)
+        text = work.text(path.name)
         with out.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
@@ -39,7 +43,7 @@ def import_package(path: Path, out: Path) -> list[Path]:
     except BaseException:
         _remove(files, out.parent / folder)
         raise
-    return [out, *(file for file, _ in files.values())]
+    return [out, *(file for file, _ in files.values())], work.warnings
 
 
 def _place(package: Package, flat: Flat, folder: Path) -> dict[str, tuple[Path, bool]]:
@@ -101,13 +105,11 @@ class _Import:
         Raises:
             ConfigError: everything that is wrong.
         """
-        if self._problems:
-            raise ConfigError(self._problems)
+        self._raise_if_any()
         connections = [line for wire in self._flat.wires if (line := self._connection(wire)) is not None]
         starts = self._starts()
         record = [self._reference(end, self._outputs) for end in self._flat.outputs.values() if self._variable(end)]
-        if self._problems:
-            raise ConfigError(self._problems)
+        self._raise_if_any()
         components = {}
         for path, component in self._flat.components.items():
             name = self._flat.names[path]
@@ -120,15 +122,29 @@ class _Import:
         agent: dict[str, Any] = {"components": components, "connections": Lines(connections)}
         if record:
             agent["record"] = Lines(dict.fromkeys(record))
-        scenario: dict[str, Any] = {"name": name, "period": "10 ms", "duration": f"{self._duration():.9g} s"}
+        period, duration, step = map(format_duration, _times(self._duration(), self._structure.step))
+        scenario: dict[str, Any] = {"name": name, "period": period, "duration": duration}
         scenario["agents"] = {name: {key: value for key, value in agent.items() if value}}
-        if (method := self._method()) is not None:
-            scenario["coupling"] = {"method": method}
+        method = self._method()
+        coupling = {"method": method} if method is not None else {}
+        if self._structure.step is not None and method != "joint":
+            coupling["step"] = step
+        if coupling:
+            scenario["coupling"] = coupling
         return "".join(f"# {line}\n" for line in self._preface(source)) + dump(scenario)
 
+    @property
+    def warnings(self) -> list[Problem]:
+        """What is left out."""
+        return [problem for problem in self._problems if problem.severity is Severity.WARNING]
+
+    def _raise_if_any(self) -> None:
+        if any(problem.severity is Severity.ERROR for problem in self._problems):
+            raise ConfigError(self._problems)
+
     def _preface(self, source: str) -> Iterator[str]:
-        yield f"From {source}. A package has neither a network nor a period: choose the one at which values are"
-        yield "recorded and exchanged with others; in between the agent takes micro steps (`coupling: {step: …}`)."
+        yield f"From {source}. A package has neither a network nor a period: choose the one at which values"
+        yield "are recorded and exchanged with others; in between the agent takes micro steps (`coupling: {step: …}`)."
         if self._structure.start:
             yield f"Its experiment begins at {self._structure.start:g} s; here time begins at 0."
         if self._flat.open_inputs:
@@ -192,10 +208,11 @@ class _Import:
         return self._structure.units.get(connector.unit) or measure(connector.unit)
 
     def _reference(self, end: End, mapped: dict[str, dict[str, Any]], scale: Scale | None = None) -> str:
-        """`component.variable`, after what is scaled or an element of an array got a name."""
-        name, variable = self._flat.names[end[0]], end[1]
+        """`component.variable`, after what is scaled, local or an element of an array got a name."""
+        name, variable, own = self._flat.names[end[0]], end[1], self._variable(end)
         is_element = variable not in self._descriptions[end[0]].variables
-        if not is_element and scale is None:
+        is_offered = mapped is self._inputs or (own is not None and own.causality == "output")
+        if not is_element and scale is None and is_offered:
             return f"{name}.{variable}"
         alias = re.sub(r"\W+", "_", variable).strip("_") if is_element else variable
         written: Any = variable
@@ -215,9 +232,8 @@ class _Import:
             if variable is None:
                 known = self._descriptions[path].variables
                 fmu = self._flat.components[path].member
-                self._problems.append(
-                    Problem(f"{fmu} has no variable {name!r}{suggest(name, known)}", setting.parameter.node.where)
-                )
+                text = f"{fmu} has no variable {name!r}{suggest(name, known)}; its value is ignored"
+                self._problems.append(Problem(text, setting.parameter.node.where, Severity.WARNING))
                 continue
             if name in self._inputs.get(self._flat.names[path], {}):
                 continue  # it is connected, and so never has this value
@@ -245,6 +261,24 @@ class _Import:
         if scale == IDENTITY:
             return list(parameter.values)
         return [scale(x) if isinstance(x, float) else x for x in parameter.values]
+
+
+_USUAL_PERIODS_NS = tuple(n * 10**e for e in (6, 5, 4, 3) for n in (10, 5, 2))
+"""From 10 ms to 2 us."""
+
+
+def _times(duration: float, step: float | None) -> tuple[int, int, int]:
+    """Period, duration and step in nanoseconds, each a multiple of what follows: 10 ms if that is one, or less.
+
+    A duration that no usual period divides becomes longer by a part of one.
+    """
+    step_ns = max(round((step or 0.0) * NANOSECONDS_PER_SECOND), 1)
+    duration_ns = max(round(duration * NANOSECONDS_PER_SECOND), 1)
+    for period_ns in _USUAL_PERIODS_NS:
+        if period_ns % step_ns == 0 and duration_ns % period_ns == 0:
+            return period_ns, duration_ns, step_ns
+    period_ns = max(_USUAL_PERIODS_NS[0] // step_ns, 1) * step_ns
+    return period_ns, -(-duration_ns // period_ns) * period_ns, step_ns
 
 
 def _nested(values: list[Value], shape: tuple[int, ...]) -> Any:

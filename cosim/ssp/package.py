@@ -1,10 +1,11 @@
-"""An .ssp archive: its XML documents with the places of their elements, and its FMUs."""
+"""An .ssp archive, or its folder: its XML documents with the places of their elements, and its FMUs."""
 
 from __future__ import annotations
 
 import posixpath
 import zipfile
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -83,23 +84,39 @@ class Node:
         """What is in it."""
         return [Node(self.package, self.member, xml) for xml in self.xml]
 
+    def descendants(self) -> Iterator[Node]:
+        """What is in it and in that, in the document's order."""
+        return (Node(self.package, self.member, xml) for xml in self.xml.iterdescendants())
+
     def error(self, message: str) -> ConfigError:
         """Something that is wrong with it."""
         return ConfigError([Problem(message, self.where)])
 
 
 class Package:
-    """An .ssp archive, checked as those of FMUs are.
+    """An .ssp archive, checked as those of FMUs are; or its folder, unpacked, which may refer to files outside.
 
     Args:
-        path: of the file.
+        path: of the archive, of the folder, or of a description (.ssd) in it.
+
+    Attributes:
+        path: of the archive or folder.
+        root: the description of the whole, a member.
 
     Raises:
         ConfigError: it is missing or no such archive, or what it holds would be unpacked elsewhere or without measure.
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.path, self.root = (path.parent, path.name) if path.suffix == ".ssd" else (path, ROOT)
+        self._sizes = None if self.path.is_dir() else self._members()
+        if not self._holds(self.root):
+            missing = "does not exist" if path.suffix == ".ssd" else f"is no SSP package: it holds no {self.root}"
+            raise refuse(path, missing)
+
+    def _members(self) -> dict[str, int]:
+        """The size of each."""
+        path = self.path
         try:
             with zipfile.ZipFile(path) as archive:
                 members = archive.infolist()
@@ -110,9 +127,10 @@ class Package:
         except zipfile.BadZipFile as error:
             raise refuse(path, "is no SSP package: not a ZIP archive, or a truncated one") from error
         check_members(path, members)
-        self._sizes = {member.filename: member.file_size for member in members}
-        if ROOT not in self._sizes:
-            raise refuse(path, f"is no SSP package: it holds no {ROOT}")
+        return {member.filename: member.file_size for member in members}
+
+    def _holds(self, member: str) -> bool:
+        return (self.path / member).is_file() if self._sizes is None else member in self._sizes
 
     def document(self, member: str, root: str) -> Node:
         """The root element of an XML document.
@@ -122,8 +140,9 @@ class Package:
         """
         from lxml import etree
 
-        if self._sizes.get(member, 0) > _XML_BYTES:
-            raise refuse(self.path, f"is refused: its {member} takes {self._sizes[member] / 1e6:.0f} MB")
+        size = self._sizes.get(member, 0) if self._sizes is not None else (self.path / member).stat().st_size
+        if size > _XML_BYTES:
+            raise refuse(self.path, f"is refused: its {member} takes {size / 1e6:.0f} MB")
         parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
         try:
             node = Node(self.path, member, etree.fromstring(self.read(member), parser))
@@ -143,6 +162,8 @@ class Package:
             ConfigError: it is missing or damaged.
         """
         try:
+            if self._sizes is None:
+                return (self.path / member).read_bytes()
             with zipfile.ZipFile(self.path) as archive:
                 return archive.read(member)
         except KeyError:
@@ -160,6 +181,6 @@ class Package:
         if uri.scheme or uri.netloc or uri.path.startswith("/"):
             raise node.error(f"source={source!r} lies outside of the package, which is not supported")
         member = posixpath.normpath(posixpath.join(posixpath.dirname(node.member), unquote(uri.path)))
-        if member not in self._sizes:
+        if not self._holds(member):
             raise node.error(f"the package holds no {member!r}")
         return member

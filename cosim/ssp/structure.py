@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from cosim.components.units import BASE, Measure, Scale
 from cosim.errors import ConfigError, Problem
-from cosim.ssp.package import ROOT, Node, Package
+from cosim.ssp.package import Node, Package
 from cosim.ssp.parameters import Binding, read_bindings
 
 _FMU = "application/x-fmu-sharedlibrary"
@@ -82,12 +83,14 @@ class Structure:
     Attributes:
         units: what the units that it defines mean.
         start, stop: of the default experiment in seconds, or None.
+        step: with which values are exchanged, in seconds, as tools write it into annotations; or None.
     """
 
     system: System
     units: dict[str, Measure] = field(default_factory=dict)
     start: float | None = None
     stop: float | None = None
+    step: float | None = None
 
 
 class Reader:
@@ -108,13 +111,14 @@ class Reader:
         Raises:
             ConfigError: everything that is broken or not supported.
         """
-        root = self.package.document(ROOT, "SystemStructureDescription")
+        root = self.package.document(self.package.root, "SystemStructureDescription")
         structure = Structure(self._top(root))
         structure.units = dict(units_of(root))
         for experiment in root.all("DefaultExperiment"):
             if experiment.get("stopTime") is not None:
                 structure.stop = experiment.number("stopTime", 0.0)
             structure.start = experiment.number("startTime", 0.0)
+        structure.step = _annotated_step(root)
         if self.problems:
             raise ConfigError(self.problems)
         return structure
@@ -206,8 +210,8 @@ class Reader:
             self.problems += error.problems
             return None
         return Connection(
-            (node.get("startElement"), node.required("startConnector")),
-            (node.get("endElement"), node.required("endConnector")),
+            (node.get("startElement") or None, node.required("startConnector")),  # OMSimulator writes ""
+            (node.get("endElement") or None, node.required("endConnector")),
             scale,
             node.flag("suppressUnitConversion"),
             node,
@@ -218,6 +222,19 @@ class Reader:
 
     def _problem(self, node: Node, message: str) -> None:
         self.problems.append(Problem(message, node.where))
+
+
+_STEPS = {"FixedStepAlgorithm": "baseStepSize", "FixedStepMaster": "stepSize"}
+"""Where OSP's tools and OMSimulator write the step; the standard has no place for it."""
+
+
+def _annotated_step(root: Node) -> float | None:
+    """The step that an annotation gives, the outermost and first one; None where there is none that could be."""
+    for child in root.descendants():
+        if child.kind in _STEPS and child.get(_STEPS[child.kind]) is not None:
+            step = child.number(_STEPS[child.kind], 0.0)
+            return step if 0.0 < step < math.inf else None
+    return None
 
 
 def linear(node: Node) -> Scale | None:

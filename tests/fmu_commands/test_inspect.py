@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import zipfile
 from pathlib import Path
 
@@ -84,3 +85,11 @@ def test_what_is_no_fmu(
         archive.writestr("modelDescription.xml", '<fmiModelDescription fmiVersion="1.0"/>')
     assert main(["fmu", "inspect", name]) == 2
     assert sentence in capsys.readouterr().err
+
+
+def test_findings_that_are_alike(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Once, with their places; tools make the same mistake at every variable."""
+    text = description2().replace("<Real ", '<Real colour="red" ').replace("><", ">\n<")
+    output = inspected(capsys, str(write_fmu(tmp_path / "x.fmu", None, text)))
+    (line,) = [line for line in output.splitlines() if "'colour'" in line]
+    assert re.fullmatch(r"  lines \d+, \d+, \d+ and \d+ more: Element 'Real', attribute 'colour': .*", line)

@@ -123,6 +123,17 @@ def test_agents_with_different_units_share_a_message(tmp_path: Path, loop: str) 
 
 
 @BOTH
+def test_a_scaled_input_is_recorded_as_it_was_fed(tmp_path: Path, loop: str) -> None:
+    """In the numbers and units of its agent, not of the component, and not scaled a second time."""
+    inputs = 'inputs: {u: [{to: "u[1]", gain: 4, offset: 1}, {to: "u[2]", unit: N.mm}]}'
+    scaled = PLANT.replace("start:", f"{inputs}\n        start:")
+    found = values(played(tmp_path, (PLANT, scaled), ("plant.v]", "plant.v, controller.u, plant.u]"), loop=loop))
+    fed, seen = found.reshape(-1, 3, 8)[:, :, 4:6], found.reshape(-1, 3, 8)[:, :, 6:8]
+    assert np.abs(fed - seen).max() < 1e-12
+    assert np.abs(fed).max() > 0.5
+
+
+@BOTH
 def test_elements_that_nothing_feeds_keep_their_start_value(tmp_path: Path, loop: str) -> None:
     one = PLANT.replace("start:", 'inputs: {elbow: "u[2]"}\n        start:').replace("v: 0}", "v: 0, u: [0.75, 9]}")
     controller = ("start: {role: follower}", 'outputs: {u2: "u[2]"}\n        start: {role: follower}')

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,7 +15,7 @@ import fmus
 from cosim.components.component import Floats
 from cosim.errors import ConfigError
 from cosim.planning import load
-from cosim.ssp.importing import import_package
+from cosim.ssp.importing import _times, import_package
 from tests.components.misbehaving import cosim, digest
 from tests.distributed.networks import in_process, planned
 
@@ -279,10 +280,19 @@ def test_what_is_wrong_or_not_supported_is_named_with_its_place(
 
 
 def test_parameters_that_are_not_there(tmp_path: Path) -> None:
-    (found,) = refusal(tmp_path, drive(outer=binding(real("plnt.m", 1.0)), inner=INNER))
-    assert "system 'drive system' has no parameter 'plnt.m'" in found
-    (found,) = refusal(tmp_path, drive(inner=binding(real("kp", 1.0))))
-    assert "has no variable 'kp' (did you mean 'k_p'?)" in found
+    """They are ignored, as the standard has it (SSP 2.0, 5.1.1.2), but not in silence."""
+    outer = binding(real("plnt.m", 1.0) + real("plant.k", 2.0) + real("drive.gain", 3.0))
+    package(tmp_path, drive(outer=outer, inner=binding(real("kp", 1.0) + real("k_d", 3.0))))
+    done = cosim(tmp_path, "ssp", "import", "drive.ssp", "-o", "out.yaml")
+    assert done.returncode == 0
+    assert "warning: system 'drive system' has no parameter 'plnt.m'; it is ignored\n" in done.stderr
+    assert "has no variable 'kp' (did you mean 'k_p'?); its value is ignored\n" in done.stderr
+    assert done.stderr.count("warning") == 2
+    parts = {part.name: part for part in load(str(tmp_path / "out.yaml")).plan.agents[0].components}
+    assert (parts["plant"].start["k"], parts["drive_pd"].start["k_d"]) == ((2.0,), (3.0,))
+
+
+def test_a_parameter_of_two_units(tmp_path: Path) -> None:
     (found,) = refusal(tmp_path, drive(outer=binding(real("plant.m", 1.0, "s"))))
     assert "plant.m is in s, and m in kg" in found
 
@@ -325,3 +335,101 @@ def test_a_system_of_another_description(tmp_path: Path) -> None:
     import_package(package(tmp_path, drive(inner=INNER, extra=component), {"second.ssd": inner}), tmp_path / "out.yaml")
     parts = {part.name: part for part in load(str(tmp_path / "out.yaml")).plan.agents[0].components}
     assert parts["second_m"].start["m"] == (4.0,)
+
+
+def test_connections_as_they_are_drawn(tmp_path: Path) -> None:
+    """Which end gives the value follows from the kinds of the connectors, and "" is the system's own, as OMSimulator
+    writes it.
+    """
+    system = drive(inner=INNER, between=linear(0.5, 0.25))
+    import_package(package(tmp_path, system), tmp_path / "straight.yaml")
+    turned = re.sub(r'start(Element|Connector)="', r'xxx\1="', system)
+    turned = re.sub(r'end(Element|Connector)="', r'start\1="', turned).replace("xxx", "end")
+    turned = re.sub(r"<ssd:Connection (?!.*startElement)", '<ssd:Connection startElement="" ', turned)
+    import_package(package(tmp_path, turned), tmp_path / "turned.yaml")
+    straight, reverse = ((tmp_path / f"{name}.yaml").read_text() for name in ("straight", "turned"))
+    assert straight.replace("straight_fmus", "turned_fmus") == reverse
+    both = system.replace('startElement="plant" startConnector="v"', 'startElement="drive" startConnector="x"', 1)
+    assert "connects drive.x and drive.w, which both take a value" in " ".join(refusal(tmp_path, both))
+
+
+def test_a_folder(tmp_path: Path) -> None:
+    """An unpacked package, whose FMUs may lie outside, and a description beside the usual one."""
+    folder = tmp_path / "unpacked"
+    zipfile.ZipFile(package(tmp_path, drive(inner=INNER))).extractall(folder)
+    text = (folder / "SystemStructure.ssd").read_text()
+    (folder / "SystemStructure.ssd").write_text(text.replace(CONTROLLER, "../outside/PDController.fmu"))
+    (folder / "variant.ssd").write_text(text)
+    (tmp_path / "outside").mkdir()
+    (folder / CONTROLLER).rename(tmp_path / "outside/PDController.fmu")
+    for said, name in (("unpacked", "unpacked"), ("unpacked/SystemStructure.ssd", "unpacked")):
+        done = cosim(tmp_path, "ssp", "import", said)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert load(str(tmp_path / f"{name}.yaml")).plan.agents[0].components[1].name == "drive_pd"
+        (tmp_path / f"{name}.yaml").unlink()
+    done = cosim(tmp_path, "ssp", "import", "unpacked/variant.ssd")
+    assert done.returncode == 2
+    assert "variant.ssd" in done.stderr
+    assert f"the package holds no '{CONTROLLER}'" in done.stderr
+    done = cosim(tmp_path, "ssp", "import", "unpacked/none.ssd")
+    assert (done.returncode, "none.ssd does not exist" in done.stderr) == (2, True)
+
+
+STEPS = {
+    "OSP": '<osp:Algorithm xmlns:osp="o"><osp:FixedStepAlgorithm baseStepSize="1e-4"/></osp:Algorithm>',
+    "OMSimulator": '<oms:S xmlns:oms="o"><oms:FixedStepMaster description="oms-ma" stepSize="0.000100"/></oms:S>',
+}
+
+
+@pytest.mark.parametrize("tool", STEPS)
+def test_the_step_that_a_tool_wrote_down(tmp_path: Path, tool: str) -> None:
+    annotation = f'<ssd:Annotations><ssc:Annotation type="x">{STEPS[tool]}</ssc:Annotation></ssd:Annotations>'
+    experiment = f'<ssd:DefaultExperiment stopTime="2">{annotation}</ssd:DefaultExperiment>'
+    import_package(package(tmp_path, drive(inner=INNER), after=experiment), tmp_path / "out.yaml")
+    plan = load(str(tmp_path / "out.yaml")).plan
+    assert plan.agents[0].coupling.step_ns == 100_000
+    assert (plan.period_ns, plan.ticks) == (10_000_000, 200)
+
+
+@pytest.mark.parametrize(
+    ("duration", "step", "found"),
+    [
+        (10.0, None, (10_000_000, 10_000_000_000, 1)),
+        (0.0002, None, (200_000, 200_000, 1)),
+        (1.0, 0.003, (9_000_000, 1_008_000_000, 3_000_000)),
+        (1.0, 0.02, (20_000_000, 1_000_000_000, 20_000_000)),
+        (1.003, 0.001, (1_000_000, 1_003_000_000, 1_000_000)),
+        (1 / 3, None, (10_000_000, 340_000_000, 1)),
+    ],
+)
+def test_a_period_that_divides_the_duration(duration: float, step: float | None, found: tuple[int, int, int]) -> None:
+    assert _times(duration, step) == found
+
+
+def test_a_system_without_components(tmp_path: Path) -> None:
+    inside = '<ssd:Elements><ssd:System name="s"/></ssd:Elements>'
+    (found,) = refusal(tmp_path, f'<ssd:System name="empty">{inside}</ssd:System>')
+    assert found.endswith("error: system 'empty' has no components")
+
+
+def test_local_variables_whole_numbers_and_items_are_connected(
+    probes: dict[int, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A local variable as an output, and an integer to an input that is an enumeration: real packages do both."""
+    monkeypatch.setattr(fmus, "path", lambda _name: probes[3])
+    kinds = connectors(Int32_out="output", Enumeration_in="input", x="output")
+    rate = '<ssd:Connector name="der(x)" kind="local"/>'
+    component = f'<ssd:Component name="{{}}" source="{PLANT}" implementation="CoSimulation">'
+    component += kinds.replace("</ssd:Connectors>", f"{rate}</ssd:Connectors>") + "</ssd:Component>"
+    system = '<ssd:System name="s"><ssd:Elements>' + component.format("a") + component.format("b")
+    system += "</ssd:Elements><ssd:Connections>" + connection("a.Int32_out", "b.Enumeration_in")
+    system += connection("a.der(x)", "b.Float32_in") + "</ssd:Connections>"
+    value = '<ssv:Parameter name="a.Int32_in"><ssv:Integer value="2"/></ssv:Parameter>'
+    system += f"<ssd:ParameterBindings>{binding(value)}</ssd:ParameterBindings></ssd:System>"
+    import_package(package(tmp_path, system), tmp_path / "out.yaml")
+    plan = load(str(tmp_path / "out.yaml"), ["agents.s.record=[a.der(x), b.Float32_out, b.Enumeration_out]"]).plan
+    record, error = in_process(plan)
+    assert error is None
+    rate, seen, item = np.array([np.frombuffer(row) for _, row in record.ticks])[-1]
+    assert (seen, item) == (np.float32(rate), 2.0)
+    assert rate != 0.0

@@ -14,6 +14,7 @@ import io
 import itertools
 import math
 import os
+import re
 import threading
 import weakref
 import zipfile
@@ -227,10 +228,35 @@ def _libraries(
 
 
 def findings(path: Path) -> list[str]:
-    """What FMPy's validation has to say about a file: schema, model structure, start values, units."""
+    """What FMPy's validation says of a file: schema, model structure, start values, units; what is alike, once."""
     from fmpy.validation import validate_fmu
 
-    return [" ".join(str(problem).split()) for problem in validate_fmu(str(path))]
+    alike: dict[str, list[str]] = {}
+    for problem in validate_fmu(str(path)):
+        text = _LISTED.sub(_shortened, " ".join(str(problem).split()))
+        place = _PLACE.match(text)
+        alike.setdefault(text[place.end() :] if place else text, []).append(place["line"] if place else "")
+    return [f"{_places(lines)}{text}" for text, lines in alike.items()]
+
+
+_PLACE = re.compile(r"ERROR \(line (?P<line>\d+), column \d+\): ")
+_LISTED = re.compile(r"\{[^{}]*\}")
+
+
+def _shortened(listed: re.Match[str]) -> str:
+    """A set of names, of which there may be thousands."""
+    names = listed[0][1:-1].split(", ")
+    return listed[0] if len(names) <= 6 else f"{{{', '.join(names[:5])} and {len(names) - 5} more}}"
+
+
+def _places(lines: list[str]) -> str:
+    """Where the same is said, as far as it has a place."""
+    if not lines[0]:
+        return ""
+    if len(lines) == 1:
+        return f"line {lines[0]}: "
+    shown = ", ".join(lines[:3])
+    return f"lines {shown}{f' and {len(lines) - 3} more' if lines[3:] else ''}: "
 
 
 # --- libraries ------------------------------------------------------------------------------------------------------
@@ -263,7 +289,8 @@ def _load(file: File, interface: Interface) -> Any:
         fmu = _forgiving(_CLASSES[file.fmi, interface], types)(**arguments)
     except Exception as error:  # FMPy raises bare exceptions
         reason = str(error.__context__ or error).replace(f"{folder}{os.sep}", "")
-        raise refuse(file.archive.path, f"cannot be loaded: {reason}") from error
+        missing = "; it needs that library, which is not installed here" if _NOT_INSTALLED in reason else ""
+        raise refuse(file.archive.path, f"cannot be loaded: {reason}{missing}") from error
     finally:
         os.chdir(working_directory)  # FMPy changes it, and does not come back if loading fails
     if os.name == "nt":  # a loaded library could not be removed
@@ -297,6 +324,8 @@ _CLASSES = {
 }
 _STORED_AS = {"Enumeration": ("Integer", "Int64")}
 """Types that have no functions of their own, in FMI 2.0 and 3.0."""
+
+_NOT_INSTALLED = "cannot open shared object file: No such file"
 
 _cached_load = functools.cache(_load)
 
