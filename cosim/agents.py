@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.agent import Agent
+from cosim.attention import AGENT, TICK, Spot, idle
 from cosim.components.component import Component, Floats
 from cosim.components.opening import await_open, open_components, terminate
-from cosim.errors import RunError
+from cosim.errors import ComponentError, RunError
 from cosim.logs import NO_LOGS, Logs
 from cosim.mailbox import Mailboxes, Updates
 from cosim.memory import LoopMemory
@@ -59,8 +60,7 @@ class Agents:
     Args:
         plan: of the whole run.
         own: which of its agents; all of them by default.
-        attended: (2,) kept up to date for whoever looks at it from outside: the tick from which agents are being
-            advanced, and which of `own` is being initialised or advanced, -1 for none.
+        attended: kept up to date; see `cosim.attention`.
         logs: where what the components log goes.
 
     Raises:
@@ -72,7 +72,7 @@ class Agents:
         self, plan: Plan, own: Sequence[AgentPlan] | None = None, attended: Ints | None = None, logs: Logs = NO_LOGS
     ) -> None:
         self._plan = plan
-        self._attended = np.array([0, -1]) if attended is None else attended
+        self._attended = idle() if attended is None else attended
         own = plan.agents if own is None else own
         wirings = Wirings(plan.layout)
         wired = [wirings.of(agent) for agent in own]
@@ -83,9 +83,11 @@ class Agents:
         opened: list[list[Component]] = []
         self._native: NativeBlock | None = None
         try:
-            for agent in own:
-                opened.append(open_components(agent, logs))  # noqa: PERF401 - what is open is known when the next one fails
+            for index, agent in enumerate(own):
+                self._attend(index)
+                opened.append(open_components(agent, logs, self._attended))
             for index, (agent, wiring, components) in enumerate(zip(own, wired, opened, strict=True)):
+                self._attend(index)
                 await_open(agent, components)
                 self._agents.append(Agent(agent, wiring, plan.period_ns, components, self._memory.state(index)))
             self._by_themselves = [i for i, agent in enumerate(own) if agent.coupling.loop is Loop.PYTHON]
@@ -97,6 +99,7 @@ class Agents:
             for components in opened:
                 terminate(components)
             raise
+        self._attend(-1)
         self._fed = [agent for agent in self._agents if agent.plan.external]
 
     def initialise(self) -> None:
@@ -106,9 +109,9 @@ class Agents:
             RunError: a component failed.
         """
         for index, agent in enumerate(self._agents):
-            self._attended[1] = index
+            self._attend(index)
             agent.initialise(self._plan.ticks * self._plan.period_ns)
-        self._attended[1] = -1
+        self._attend(-1)
 
     def samples(self) -> Floats:
         """(n_agents, width) what the agents publish at the current tick; zero where nobody hears one."""
@@ -161,7 +164,7 @@ class Agents:
                 done = n_ticks
         except RunError as failure:
             error = failure
-        self._attended[1] = -1
+        self._attend(-1)
         return Course(samples[:done], rows[:done], error)
 
     def _advance(self, tick: int, mail: Mail, updates: Updates | None, nth: int) -> None:
@@ -171,15 +174,18 @@ class Agents:
             n = len(self._agents)
             _, failed = self._native.advance(tick, 1, mail.of(range(nth * n, nth * n + n)) if nth else mail)
         if updates is not None:
-            self._attended[0] = tick
+            self._attended[TICK] = tick
             first = nth * len(self._by_themselves)
             for place, index in enumerate(self._by_themselves, first):
                 if failed and failed.index < index:
                     break
-                self._attended[1] = index
+                self._attend(index)
                 self._agents[index].advance(tick, updates, place)
-        self._attended[1] = -1
+        self._attend(-1)
         self._raise(failed)
+
+    def _attend(self, index: int) -> None:
+        self._attended[AGENT:] = index, -1
 
     def _raise(self, failed: Failed | None) -> None:
         if failed:
@@ -192,6 +198,15 @@ class Agents:
         n = len(self._agents)
         return mail.of([tick * n + agent for tick in range(n_ticks) for agent in self._by_themselves])
 
+    def failure(self, spot: Spot, text: str) -> RunError:
+        """For a component that cannot raise anything itself; for all of the agent's if it is not known which."""
+        agent = self._agents[spot.agent or 0]
+        if spot.component is None:
+            names = ", ".join(component.name for component in agent.components)
+            return agent.failure(ComponentError(names, text))
+        component = agent.components[spot.component]
+        return agent.failure(ComponentError(component.name, text, component.last_log))
+
     def accounts(self) -> list[StepAccount]:
         """What became of the steps of those agents whose steps are controlled."""
         return [account for agent in self._agents if (account := agent.account()) is not None]
@@ -200,8 +215,10 @@ class Agents:
         """End all components; safe after a failure, and twice."""
         if self._native:
             self._native.end()
-        for agent in self._agents:
+        for index, agent in enumerate(self._agents):
+            self._attend(index)
             agent.terminate()
+        self._attend(-1)
 
     def _native_block(self, members: list[int]) -> NativeBlock | None:
         if not members:

@@ -20,8 +20,10 @@ from cosim.native_output import captured
 from cosim.plan import AgentPlan, ComponentPlan, CouplingPlan, Loop, Method, Plan
 from cosim.scenario.names import in_short
 from cosim.scenario.source import dump_on_one_line
+from cosim.stopping import StopRequest
 from cosim.theory import mu, published_bound
 from cosim.topology import kappa, reached_by, roots
+from cosim.watching import Watch
 from network.units import format_duration, to_seconds
 
 Item = TypeVar("Item")
@@ -29,10 +31,14 @@ _PRINTED_CHUNKS = 4
 """How much is kept of what FMUs print, in pieces of up to 64 KiB."""
 
 
-def open_all(plan: Plan) -> list[Problem]:
+def open_all(plan: Plan, deadline: float) -> list[Problem]:
     """Instantiate and initialise every agent, as a run does, but those of which only the description is here.
 
     What FMUs print meanwhile is shown if one refuses: it may be all that they say.
+
+    Args:
+        plan: whose agents.
+        deadline: seconds that an FMU may take for it.
 
     Returns:
         What could not be opened.
@@ -43,23 +49,45 @@ def open_all(plan: Plan) -> list[Problem]:
     """
     missing = absent(plan)
     here = [agent for agent in plan.agents if all(component.description.whole for component in agent.components)]
-    printed: deque[bytes] = deque(maxlen=_PRINTED_CHUNKS)
+    printed = _Printed()
     try:
-        with captured(printed.append):
-            _open(plan, here)
+        with captured(printed.take):
+            _open(plan, here, deadline, printed)
     except CosimError:
-        if text := b"".join(printed).decode(errors="replace").strip():
-            print(text, file=sys.stderr)
+        printed.show()
         raise
     return [replace(problem, severity=Severity.WARNING) for problem in missing]
 
 
-def _open(plan: Plan, agents: Sequence[AgentPlan]) -> None:
-    opened = Agents(plan, agents)
-    try:
-        opened.initialise()
-    finally:
-        opened.terminate()
+def _open(plan: Plan, agents: Sequence[AgentPlan], deadline: float, printed: _Printed) -> None:
+    stop = StopRequest()
+    with stop.listening(), Watch(agents, plan.period_ns, deadline, stop, printed) as watch, watch.at_components:
+        opened = watch.agents = Agents(plan, agents, watch.attended)
+        try:
+            opened.initialise()
+        finally:
+            opened.terminate()
+    if stop():
+        raise KeyboardInterrupt
+
+
+class _Printed:
+    """What FMUs print, and all that is kept if they crash or hang."""
+
+    def __init__(self) -> None:
+        self._chunks: deque[bytes] = deque(maxlen=_PRINTED_CHUNKS)
+
+    def take(self, data: bytes) -> None:
+        """Another piece."""
+        self._chunks.append(data)
+
+    def show(self) -> None:
+        """On the screen."""
+        if text := b"".join(self._chunks).decode(errors="replace").strip():
+            print(text, file=sys.stderr)
+
+    def keep(self, error: CosimError, *, in_order: bool) -> None:  # noqa: ARG002 - as of `cosim.watching.Record`
+        self.show()
 
 
 def absent(plan: Plan) -> list[Problem]:

@@ -124,7 +124,7 @@ def _check(args: argparse.Namespace) -> int:
     from cosim import check, planning
 
     planned = planning.load(args.config, args.set, seed=args.seed, until=args.until)
-    absent = check.open_all(planned.plan)
+    absent = check.open_all(planned.plan, args.step_deadline)
     print(check.describe(planned.plan))
     _print_problems([*planned.warnings, *absent])
     return 0
@@ -227,12 +227,13 @@ def _parser() -> argparse.ArgumentParser:
         choices=("abort", "restart"),
         help="end the run, or replace a worker that is killed, ends or hangs (default: the scenario's, or abort)",
     )
-    _add_step_deadline(across)
+    _add_step_deadline(run)
 
     check = _command(
         commands, "check", _check, "validate a scenario, open its components, and say what can be expected"
     )
     _add_scenario(check)
+    _add_step_deadline(check)
 
     report = _command(commands, "report", _report, "draw the report of a finished run again")
     report.add_argument("run", type=Path, metavar="RUN", help="folder of the run")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from cosim.plan import CouplingPlan, Plan
 from cosim.recording.columns import arriving_names
 from network.messages import Fates
 from network.units import format_duration
+
+if TYPE_CHECKING:
+    from cosim.watching import Watch
 
 POOR = 0.01
 """An error of more than so much of a variable's range is worth a warning."""
@@ -80,14 +83,14 @@ class Estimate:
         self._most, self._at = np.zeros(width), np.zeros(width, np.int64)
         self._low, self._high = np.full(width, np.inf), np.full(width, -np.inf)
 
-    def prepare(self, stop_requested: Callable[[], bool]) -> None:
+    def prepare(self, stop_requested: Callable[[], bool], watch: Watch | None = None) -> None:
         """Play it with half the micro steps.
 
         Raises:
             CosimError: a component failed.
             Interrupted: `stop_requested` said so.
         """
-        run(_halved(self._plan), [_Keeper(self._finer, self._stride)], stop_requested)
+        run(_halved(self._plan), [_Keeper(self._finer, self._stride)], stop_requested, watch=watch)
 
     def tick(self, tick: int, row: Floats) -> None:
         if tick % self._stride:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from itertools import accumulate, pairwise
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from cosim.agents import Agents
 from cosim.components.component import Floats
@@ -17,6 +18,9 @@ from cosim.step_control import StepAccount
 from network.channel import ChannelError
 from network.emulator import Emulator
 from network.messages import Fates
+
+if TYPE_CHECKING:
+    from cosim.watching import Watch
 
 Take = Callable[[int], Mapping[int, Floats]]
 """The values from outside that are new at a tick, by subscription; see `cosim.bridge`."""
@@ -95,6 +99,7 @@ def run(  # noqa: PLR0917
     pacer: Pacer | None = None,
     take: Take | None = None,
     logs: Logs = NO_LOGS,
+    watch: Watch | None = None,
 ) -> None:
     """Play a plan from tick 0 to its last tick.
 
@@ -105,6 +110,7 @@ def run(  # noqa: PLR0917
         pacer: holds the run back to the pace of the wall; without one, it runs as fast as it can.
         take: gives the values from outside that are new at a tick; needed if the plan subscribes to any.
         logs: where what the components log goes.
+        watch: looks on while components are called.
 
     Raises:
         RunError: a component failed.
@@ -112,19 +118,25 @@ def run(  # noqa: PLR0917
         OverrunError: the pacer said so.
         NetworkError: a channel of the user's own failed.
     """
-    agents = Agents(plan, logs=logs)
+    at_components = nullcontext() if watch is None else watch.at_components
+    with at_components:
+        agents = Agents(plan, attended=None if watch is None else watch.attended, logs=logs)
+    if watch is not None:
+        watch.agents = agents
     try:
-        _play(plan, agents, observers, stop_requested, pacer, take)
+        _play(plan, agents, at_components, observers, stop_requested, pacer, take)
     except ChannelError as error:
         raise NetworkError(str(error)) from error
     finally:
         tell_of_steps(observers, agents.accounts())
-        agents.terminate()
+        with at_components:
+            agents.terminate()
 
 
 def _play(  # noqa: PLR0917
     plan: Plan,
     agents: Agents,
+    at_components: AbstractContextManager[None],
     observers: Sequence[Observer],
     stop_requested: Callable[[], bool],
     pacer: Pacer | None,
@@ -132,7 +144,8 @@ def _play(  # noqa: PLR0917
 ) -> None:
     emulator = Emulator(plan.links, plan.channels, plan.link_channel, plan.layout, plan.seed, plan.period_ns)
     master = Master([len(plan.agents)], plan.layout.width, plan.ticks)
-    agents.initialise()
+    with at_components:
+        agents.initialise()
     if pacer is not None:
         observers = [*observers, pacer]
         pacer.start()
@@ -151,7 +164,8 @@ def _play(  # noqa: PLR0917
         for observer in observers:
             observer.fates(exchange.fates)
         order = master.exchanged(exchange)
-        agents.advance(order.tick, order.mail, taken)
+        with at_components:
+            agents.advance(order.tick, order.mail, taken)
     in_flight = emulator.finish()
     for observer in observers:
         observer.fates(in_flight)

@@ -8,7 +8,7 @@ import itertools
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
@@ -28,6 +28,7 @@ from cosim.progress import Disagreement, Progress, say
 from cosim.recording.recorder import Recorder
 from cosim.step_control import StepAccount, manifest
 from cosim.stopping import StopRequest
+from cosim.watching import Watch
 from network.messages import Fates
 
 
@@ -87,19 +88,22 @@ def record(args: argparse.Namespace, plan: Plan, way: Way, *, here: bool = False
             recorder.add({"distributed": {**details["distributed"], "restarts": restarts}})
 
     estimate = Estimate(plan) if getattr(args, "estimate_error", False) else None
-    play, details = way(args, plan, pacer, folder, tell)
+    stop, record = StopRequest(), _Record()
+    watch = Watch(plan.agents, plan.period_ns, args.step_deadline, stop, record) if here else None
+    play, details = way(args, plan, pacer, folder.absolute(), tell, watch)
     recorder = Recorder(plan, folder, details)
     summary = _Summary(plan, pacer, recorder)
-    stop = StopRequest()
     with (
-        _native_output(folder, here=here),
+        _native_output(recorder.place, here=here),
         stop.listening(),
+        watch or nullcontext(),
         open_bridge(plan, _warn) as bridge,
         Progress(plan, quiet=args.quiet, pacer=pacer) as progress,
     ):
-        if estimate is not None and not _prepared(estimate, stop, quiet=args.quiet):
+        if estimate is not None and not _prepared(estimate, stop, watch, quiet=args.quiet):
             return stop.exit_code
         recorder.open()
+        record.recorder = recorder
         gc.enable()
         if bridge is not None and not args.quiet:
             say(f"the bridge {bridge.where}")
@@ -125,15 +129,15 @@ def record(args: argparse.Namespace, plan: Plan, way: Way, *, here: bool = False
         summary.show(recorder.folder, digest, bridge, estimate)
     for warning in estimate.warnings() if estimate is not None else ():
         print(f"warning: {warning}", file=sys.stderr)
-    return _draw(recorder.folder, quiet=args.quiet) if args.report else 0
+    return _draw(recorder, quiet=args.quiet) if args.report else 0
 
 
-def _prepared(estimate: Estimate, stop: StopRequest, *, quiet: bool) -> bool:
+def _prepared(estimate: Estimate, stop: StopRequest, watch: Watch | None, *, quiet: bool) -> bool:
     """Play with half the steps, for the estimate; False where somebody asked to stop."""
     if not quiet:
         say("playing with half the micro steps, for the estimate of the error")
     try:
-        estimate.prepare(stop)
+        estimate.prepare(stop, watch)
     except Interrupted as interrupted:
         print(f"interrupted after tick {interrupted.tick} of the estimate; nothing is recorded", file=sys.stderr)
         return False
@@ -160,10 +164,10 @@ class Play(Protocol):
 class Way(Protocol):
     """Makes ready to play a plan."""
 
-    def __call__(
-        self, args: argparse.Namespace, plan: Plan, pacer: Pacer | None, folder: Path, tell: Tell
+    def __call__(  # noqa: PLR0917
+        self, args: argparse.Namespace, plan: Plan, pacer: Pacer | None, folder: Path, tell: Tell, watch: Watch | None
     ) -> tuple[Play, dict[str, Any]]:
-        """How to play it, and what the manifest says of that."""
+        """How to play it, and what the manifest says of that; `watch` looks on if it is played in this process."""
 
 
 def _pacer(args: argparse.Namespace, plan: Plan) -> Pacer | None:
@@ -189,15 +193,15 @@ def _accounted(pacer: Pacer | None, recorder: Recorder) -> Iterator[None]:
             pacer.say_total()
 
 
-def _way_to_play(
-    args: argparse.Namespace, plan: Plan, pacer: Pacer | None, folder: Path, tell: Tell
+def _way_to_play(  # noqa: PLR0917
+    args: argparse.Namespace, plan: Plan, pacer: Pacer | None, folder: Path, tell: Tell, watch: Watch | None
 ) -> tuple[Play, dict[str, Any]]:
     """In this process, or across several; and what the manifest says of it."""
     if not args.distributed:
         for option in ("workers", "on_worker_loss"):
             if getattr(args, option) is not None:
                 raise CosimError(f"--{option.replace('_', '-')} is for runs across processes; add --distributed")
-        return partial(_in_process, plan, pacer, folder), {}
+        return partial(_in_process, plan, pacer, folder, watch), {}
     from cosim.distributed import cluster
 
     workers = cluster.division(plan, args.workers)
@@ -219,12 +223,13 @@ def _in_process(  # noqa: PLR0917
     plan: Plan,
     pacer: Pacer | None,
     folder: Path,
+    watch: Watch | None,
     observers: Sequence[Observer],
     stop_requested: Callable[[], bool],
     take: Take | None = None,
 ) -> None:
     with Logs(folder / LOG_FOLDER) as logs:
-        run(plan, observers, stop_requested, pacer, take, logs)
+        run(plan, observers, stop_requested, pacer, take, logs, watch)
 
 
 def _close_after(error: BaseException, recorder: Recorder) -> None:
@@ -234,6 +239,26 @@ def _close_after(error: BaseException, recorder: Recorder) -> None:
         recorder.close(f"aborted: {reason.splitlines()[0]}")
     if isinstance(error, (RunError, ClusterError, NetworkError, OverrunError)):
         print(f"everything until then is in {recorder.folder}", file=sys.stderr)
+
+
+class _Record:
+    """What a run leaves that is ended by force."""
+
+    recorder: Recorder | None = None
+    """Once it is open."""
+
+    def keep(self, error: CosimError, *, in_order: bool) -> None:
+        if self.recorder is None:
+            return
+        folder = self.recorder.folder
+        if in_order:
+            _close_after(error, self.recorder)
+            if not isinstance(error, RunError):
+                print(f"everything until then is in {folder}", file=sys.stderr)
+        else:
+            print(f"`cosim report {folder}` saves what was computed until then", file=sys.stderr)
+        if (self.recorder.place / LOG_FOLDER).exists():
+            print(f"what components logged and printed is in {folder / LOG_FOLDER}", file=sys.stderr)
 
 
 class _Summary:
@@ -279,15 +304,15 @@ class _Summary:
         print(f"  run folder               {folder}")
 
 
-def _draw(folder: Path, *, quiet: bool) -> int:
+def _draw(recorder: Recorder, *, quiet: bool) -> int:
     from cosim.reporting.report import draw
 
     stop = StopRequest()
     with stop.listening():
-        page = draw(folder, stop)
+        page = draw(recorder.place, stop)
     if page is None:
-        print(f"the run is complete; `cosim report {folder}` draws its report", file=sys.stderr)
+        print(f"the run is complete; `cosim report {recorder.folder}` draws its report", file=sys.stderr)
         return stop.exit_code
     if not quiet:
-        print(f"  report                   {page}")
+        print(f"  report                   {recorder.folder / page.name}")
     return 0

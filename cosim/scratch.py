@@ -14,8 +14,8 @@ if sys.platform != "win32":  # there an open file cannot be removed: a killed pr
 
 _PREFIX = "cosim-"
 _LOCK = "lock"
-_own: set[str] = set()
-"""The folders that this process made, with a slash at the end."""
+_own: dict[str, Scratch] = {}
+"""By path, with a slash at the end, all that this process made, or the one whose fork it is."""
 
 
 def holds(path: str) -> bool:
@@ -33,7 +33,8 @@ class Scratch:
     def __init__(self) -> None:
         _sweep()
         self.path = Path(tempfile.mkdtemp(prefix=_PREFIX))
-        _own.add(f"{self.path}{os.sep}")
+        self._process = os.getpid()
+        _own[f"{self.path}{os.sep}"] = self
         new = self.path / "new"
         self._lock = new.open("wb")
         if sys.platform != "win32":
@@ -50,6 +51,13 @@ class Scratch:
 
     def __exit__(self, *_: object) -> None:
         self.remove()
+
+
+def remove_all() -> None:
+    """Remove the folders of this process, which is about to end at once."""
+    for scratch in _own.values():
+        if scratch._process == os.getpid():
+            scratch.remove()
 
 
 def _sweep() -> None:

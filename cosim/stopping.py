@@ -9,7 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-_NUMBERS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+REQUESTS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+"""The signals that ask for an end."""
 
 
 class StopRequest:
@@ -17,10 +18,11 @@ class StopRequest:
 
     Attributes:
         number: of the signal, 0 while there was none.
+        count: of signals that Python has seen.
     """
 
     def __init__(self) -> None:
-        self.number = 0
+        self.number = self.count = 0
 
     def __call__(self) -> bool:
         """Whether somebody asked."""
@@ -34,7 +36,7 @@ class StopRequest:
     @contextmanager
     def listening(self) -> Iterator[None]:
         """While inside, signals are requests."""
-        previous = {number: signal.signal(number, self._handle) for number in _NUMBERS}
+        previous = {number: signal.signal(number, self._handle) for number in REQUESTS}
         try:
             yield
         finally:
@@ -42,13 +44,14 @@ class StopRequest:
                 signal.signal(number, handler)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
+        self.count += 1
         if self.number:
             signal.default_int_handler(number, frame)
         self.number = number
-        os.write(_screen(), b"\nstopping as soon as everything is in order; once more to stop at once\n")
+        os.write(screen(), b"\nstopping as soon as everything is in order; once more to stop at once\n")
 
 
-def _screen() -> int:
+def screen() -> int:
     """The descriptor of standard error, wherever it is."""
     try:
         return sys.stderr.fileno()

@@ -16,6 +16,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.attention import COMPONENT, idle
 from cosim.components.units import IDENTITY, Measure, Scale
 from cosim.errors import DiscardedStepError
 
@@ -172,6 +173,21 @@ class Component(ABC):
     description: Description
 
     # --- values -----------------------------------------------------------------------------------------------------
+    _attended = idle()
+    _place = -1
+
+    def attend(self, attended: NDArray[np.int64], place: int) -> None:
+        """From now on, whenever code of it is called in this process, `attended[COMPONENT]` is set to `place`."""
+        self._attended, self._place = attended, place
+
+    @property
+    def last_log(self) -> str | None:
+        """The last line that it logged."""
+        return None
+
+    def _called(self) -> None:
+        self._attended[COMPONENT] = self._place
+
     @abstractmethod
     def get(self, variable: Variable) -> Floats:
         """Flat values of one numeric variable, shape (variable.size,)."""

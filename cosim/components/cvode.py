@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.components.component import Component, Floats, Interface, Value, Variable
 from cosim.errors import ComponentError
@@ -64,6 +65,13 @@ class CvodeComponent(Component):
         self._model.start(variable, values)
 
     # --- life cycle -------------------------------------------------------------------------------------------------
+    def attend(self, attended: NDArray[np.int64], place: int) -> None:
+        self._model.attend(attended, place)
+
+    @property
+    def last_log(self) -> str | None:
+        return self._model.last_log
+
     def await_open(self) -> None:
         self._model.await_open()
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from cosim.attention import COMPONENT, idle
 from cosim.components.component import Component, Description, Interface
 from cosim.components.presented import own_starts
 from cosim.errors import ComponentError, RunError
 from cosim.logs import NO_LOGS, Logs, Sink
 from cosim.plan import AgentPlan, ComponentPlan, Method
+from network.messages import Ints
 
 
 def describe(path: Path | None, python: str | None, structural: Mapping[str, int]) -> Description:
@@ -32,12 +34,13 @@ def describe(path: Path | None, python: str | None, structural: Mapping[str, int
     return describe_python(python or "", structural)
 
 
-def open_components(plan: AgentPlan, logs: Logs = NO_LOGS) -> list[Component]:
+def open_components(plan: AgentPlan, logs: Logs = NO_LOGS, attended: Ints | None = None) -> list[Component]:
     """The components of an agent, instantiated and with their start values set; none is left open when one fails.
 
     Args:
         plan: of the agent.
         logs: where what they log goes.
+        attended: kept up to date; see `cosim.attention`.
 
     Raises:
         ConfigError: a file or class cannot be used any more.
@@ -46,10 +49,13 @@ def open_components(plan: AgentPlan, logs: Logs = NO_LOGS) -> list[Component]:
     joint = plan.coupling.method is Method.JOINT
     interface = Interface.MODEL_EXCHANGE if joint else Interface.CO_SIMULATION
     components: list[Component] = []
+    attended = idle() if attended is None else attended
     try:
-        for part in plan.components:
+        for place, part in enumerate(plan.components):
             log = logs.sink(f"{plan.name}.{part.name}")
+            attended[COMPONENT] = place
             component = _open(part, interface, log)
+            component.attend(attended, place)
             components.append(component)
             set_start_values(component, part)
     except ComponentError as error:

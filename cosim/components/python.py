@@ -406,6 +406,7 @@ class PythonInstance(Component):
 
     def _run(self, method: Callable[..., Any], *arguments: Any) -> Any:
         """Call the user's code; whatever it raises becomes a `ComponentError` that says where."""
+        self._called()
         try:
             return method(*arguments)
         except Discard as error:

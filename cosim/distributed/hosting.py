@@ -30,6 +30,7 @@ from cosim.plan import Plan
 from cosim.running import Play
 from cosim.scenario.names import in_short
 from cosim.stopping import StopRequest
+from cosim.watching import Watch
 from network.codec import encode_object
 from network.transport import Envelope, Hub, Kind, PeerLost, TransportError, TransportTimeout, WireError
 
@@ -147,6 +148,7 @@ def _way_to_play(  # noqa: PLR0917
     pacer: Pacer | None,
     folder: Path,  # noqa: ARG001 - as of `cosim.running.Way`
     tell: Tell,
+    watch: Watch | None,  # noqa: ARG001 - the components are elsewhere
 ) -> tuple[Play, dict[str, Any]]:
     """As `cluster.run`, with processes that are there already."""
 

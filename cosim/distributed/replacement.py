@@ -6,6 +6,8 @@ from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from itertools import count
 
+from cosim.attention import NOWHERE, Spot
+
 _MOST = 100
 """Replacements in a run."""
 
@@ -19,18 +21,18 @@ class Moment:
 
     Attributes:
         tick: that it was at; before the first one, `failure.OPENING` or `failure.INITIALISING`.
-        agent: index of the agent that was being advanced; None if none was, or it is not known.
+        spot: the agent that was being opened, initialised or advanced; none if none was, or it is not known.
         known: whether it is known what the worker was doing.
     """
 
     tick: int
-    agent: int | None = None
+    spot: Spot = NOWHERE
     known: bool = False
 
     @property
     def at_work(self) -> bool:
         """Whether the worker may have brought it upon itself."""
-        return not self.known or self.tick < 0 or self.agent is not None
+        return not self.known or self.tick < 0 or self.spot.agent is not None
 
 
 class History:

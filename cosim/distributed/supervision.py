@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any, TypeAlias
 
 from cosim.distributed.assignment import EMULATOR
-from cosim.distributed.failure import OPENING
+from cosim.distributed.failure import INITIALISING, OPENING
 from cosim.distributed.orchestration import Orchestration
 from cosim.distributed.processes import Processes
 from cosim.distributed.replacement import Moment, when
@@ -288,7 +288,8 @@ class Supervisor:
         if share is None or known is None:
             begun = name not in self._orchestration.unready
             return Moment(self._orchestration.position(name) if begun else OPENING)
-        return known if known.agent is None else replace(known, agent=share[known.agent])
+        spot = known.spot
+        return known if spot.agent is None else replace(known, spot=replace(spot, agent=share[spot.agent]))
 
     def _replace(self, name: str, moment: Moment, condition: str) -> None:
         who = carried(self._plan, name, self._orchestration.workers)
@@ -316,11 +317,9 @@ class Supervisor:
         """When it was, and what was being done."""
         seconds = to_seconds(max(0, moment.tick) * self._plan.period_ns)
         text = when(moment) if moment.tick < 0 else f"{when(moment)} (t = {seconds:.9g} s)"
-        if moment.agent is not None:
-            agent = self._plan.agents[moment.agent]
-            doing = "initialised" if moment.tick < 0 else "advanced"
-            names = ", ".join(component.name for component in agent.components)
-            text += f", while it {doing} agent {agent.name} ({names})"
+        if moment.spot.agent is not None:
+            doing = {OPENING: "opened", INITIALISING: "initialised"}.get(moment.tick, "advanced")
+            text += f", while it {doing} {moment.spot.within(self._plan.agents[moment.spot.agent])}"
         return text
 
     def _settle(self, but: Collection[str] = ()) -> None:

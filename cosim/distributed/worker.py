@@ -10,9 +10,8 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from cosim.agents import NOTHING, Agents
+from cosim.attention import TICK, idle
 from cosim.distributed.assignment import EMULATOR, ORCHESTRATOR, Message, Share, batch_ticks, blocks, pick
 from cosim.distributed.failure import INITIALISING, OPENING, Failure
 from cosim.errors import ConfigError, RunError
@@ -51,8 +50,7 @@ class Worker:
         plan: of the whole run.
         name: of this worker.
         workers: the agents of every worker.
-        whereabouts: (2,) kept up to date for whoever looks at it from outside: the tick, and which of its agents is
-            being advanced from it, -1 for none. Where the tick is `OPENING` or `INITIALISING`, it is that.
+        whereabouts: kept up to date; see `cosim.attention`. Where the tick is `OPENING` or `INITIALISING`, it is that.
         logs: where what the components log goes.
     """
 
@@ -69,7 +67,7 @@ class Worker:
         self._mail: deque[_Mail] = deque()  # that has come
         self._mail_in = 0  # ticks whose mail has come
         self.tick = 0
-        self._whereabouts = np.zeros(2, np.int64) if whereabouts is None else whereabouts
+        self._whereabouts = idle() if whereabouts is None else whereabouts
         self._logs = logs
         self._started = self._failed = False
         self.finished = False
@@ -90,17 +88,17 @@ class Worker:
 
     def prepare(self) -> list[Message]:
         """Open the agents and bring them to tick 0."""
-        self._whereabouts[:] = OPENING, -1
+        self._whereabouts[TICK] = OPENING
         try:
             self._agents = Agents(self._plan, self._own, self._whereabouts, self._logs)
         except (RunError, ConfigError) as error:
             return self._fail(Failure(OPENING, self._index_of(error), error))
-        self._whereabouts[0] = INITIALISING
+        self._whereabouts[TICK] = INITIALISING
         try:
             self._agents.initialise()
         except RunError as error:
             return self._fail(Failure(INITIALISING, self._index_of(error), error))
-        self._whereabouts[0] = 0
+        self._whereabouts[TICK] = 0
         return [Message(ORCHESTRATOR, Kind.READY, 0)]
 
     def take(self, envelope: Envelope) -> list[Message]:
@@ -139,7 +137,7 @@ class Worker:
             samples.append(course.samples)
             rows.append(course.rows)
             error = course.error
-        self._whereabouts[0] = self.tick
+        self._whereabouts[TICK] = self.tick
         messages = self._publish(samples, rows)
         return messages if error is None else messages + self._fail(Failure(self.tick, self._index_of(error), error))
 

@@ -15,7 +15,14 @@ from cosim.components.python import describe_python, load, source_file
 from cosim.errors import ConfigError, Problem
 
 _TRAVELS = (
-    *("__init__.py", "errors.py", "components/__init__.py", "components/component.py", "components/exported.py"),
+    *(
+        "__init__.py",
+        "attention.py",
+        "errors.py",
+        "components/__init__.py",
+        "components/component.py",
+        "components/exported.py",
+    ),
     *("components/python.py", "components/saving.py", "components/start_values.py", "components/units.py"),
 )
 """Of this package: what a component needs inside an FMU."""

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.attention import idle
 from cosim.components.component import Component
 from cosim.errors import ComponentError
 from cosim.kernel import layout
@@ -64,7 +65,7 @@ class NativeBlock:
         period_ns: T.
         samples: indices into the signals of what is taken of all agents at a tick, to be published.
         row: likewise, to be recorded.
-        attended: (2,) takes the tick from which members are being advanced, and the index of the one that is.
+        attended: kept up to date; see `cosim.attention`.
 
     Raises:
         ConfigError: the library is missing, a component is no FMU, or a connected variable holds no numbers.
@@ -89,7 +90,7 @@ class NativeBlock:
         components = [row for kind, fmus in zip(self._kinds, self._fmus, strict=True) for row in kind.rows(fmus)]
         self._components = np.array(components, np.dtype(layout.Component))
         self._members = self._table()
-        self._attended = np.zeros(2, np.int64) if attended is None else attended
+        self._attended = idle() if attended is None else attended
         self._selected = [_plain(places.ravel(), np.int64) for places in (samples, row)]
         self._block = layout.Block(
             len(members),

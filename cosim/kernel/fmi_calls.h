@@ -26,12 +26,18 @@ static inline bool check(Agent *agent, int component, int call, int status) {
     return fail(agent, (Failure){.reason = CALL_FAILED, .component = component, .call = call, .status = status});
 }
 
+/* The component, about to be called. */
+static inline const Component *called(Agent *agent, int component) {
+    *agent->called = component;
+    return &agent->components[component];
+}
+
 static inline bool stop_requested(Agent *agent, int component) {
     return fail(agent, (Failure){.reason = STOP_REQUESTED, .component = component});
 }
 
 static inline bool set_time(Agent *agent, int index, double time) {
-    const Component *c = &agent->components[index];
+    const Component *c = called(agent, index);
     Function f = c->functions[SET_TIME];
     int status = c->fmi == 3 ? (int)((fmi3SetTimeTYPE *)f)(c->instance, time)
                              : (int)((fmi2SetTimeTYPE *)f)(c->instance, time);
@@ -39,7 +45,7 @@ static inline bool set_time(Agent *agent, int index, double time) {
 }
 
 static inline bool set_states(Agent *agent, int index, const double *states) {
-    const Component *c = &agent->components[index];
+    const Component *c = called(agent, index);
     Function f = c->functions[SET_STATES];
     size_t n = (size_t)c->n_states;
     if (n == 0) return true;
@@ -49,7 +55,7 @@ static inline bool set_states(Agent *agent, int index, const double *states) {
 }
 
 static inline bool get_states(Agent *agent, int index, double *states) {
-    const Component *c = &agent->components[index];
+    const Component *c = called(agent, index);
     Function f = c->functions[GET_STATES];
     size_t n = (size_t)c->n_states;
     if (n == 0) return true;
@@ -59,7 +65,7 @@ static inline bool get_states(Agent *agent, int index, double *states) {
 }
 
 static inline bool get_derivatives(Agent *agent, int index, double *derivatives) {
-    const Component *c = &agent->components[index];
+    const Component *c = called(agent, index);
     Function f = c->functions[GET_DERIVATIVES];
     size_t n = (size_t)c->n_states;
     if (n == 0) return true;
@@ -69,7 +75,7 @@ static inline bool get_derivatives(Agent *agent, int index, double *derivatives)
 }
 
 static inline bool get_indicators(Agent *agent, int index, double *indicators) {
-    const Component *c = &agent->components[index];
+    const Component *c = called(agent, index);
     Function f = c->functions[GET_INDICATORS];
     size_t n = (size_t)c->n_indicators;
     if (n == 0) return true;
@@ -80,7 +86,7 @@ static inline bool get_indicators(Agent *agent, int index, double *indicators) {
 
 /* Sets `wants_event` if the component asks for Event Mode, and leaves it alone otherwise. */
 static inline bool completed_step(Agent *agent, int index, bool *wants_event) {
-    const Component *c = &agent->components[index];
+    const Component *c = called(agent, index);
     Function f = c->functions[COMPLETED_STEP];
     int status;
     bool stop, event;
@@ -101,7 +107,7 @@ static inline bool completed_step(Agent *agent, int index, bool *wants_event) {
 
 /* A function of FMI 2.0 and 3.0 that takes the instance alone. */
 static inline bool change_mode(Agent *agent, int index, Call call) {
-    const Component *c = &agent->components[index];
+    const Component *c = called(agent, index);
     Function f = c->functions[call];
     int status = c->fmi == 3 ? (int)((fmi3EnterEventModeTYPE *)f)(c->instance)
                              : (int)((fmi2EnterEventModeTYPE *)f)(c->instance);
@@ -110,7 +116,7 @@ static inline bool change_mode(Agent *agent, int index, Call call) {
 
 /* One update; `again` says whether another is needed, `next_event` is the next time event in seconds or INFINITY. */
 static inline bool update_once(Agent *agent, int index, bool *again, double *next_event) {
-    const Component *c = &agent->components[index];
+    const Component *c = called(agent, index);
     Function f = c->functions[UPDATE_DISCRETE_STATES];
     int status;
     bool stop, defined;
@@ -138,7 +144,7 @@ static inline bool update_once(Agent *agent, int index, bool *again, double *nex
 /* One call; `needed` says whether events are to be handled, `early` whether it only got to `reached`. */
 static inline bool step_once(Agent *agent, int index, double time, double step, bool *needed, bool *early,
                              double *reached) {
-    const Component *c = &agent->components[index];
+    const Component *c = called(agent, index);
     Function f = c->functions[DO_STEP];
     *needed = *early = false;
     if (c->fmi == 2)

@@ -123,7 +123,9 @@ static int64_t advance_members(const Block *block, int64_t tick, const Mail *mai
     for (int64_t i = 0; i < block->n_members; i++) {
         const Member *member = &block->members[i];
         Agent *agent = member->agent;
+        block->attended[2] = -1;
         block->attended[1] = member->place;
+        agent->called = &block->attended[2];
         agent->components = member->components;
         agent->signals = member->signals;
         agent->previous = member->previous;

@@ -174,6 +174,8 @@ typedef struct {
     double *stages;     /* STAGES rows of n_states */
     double *indicators; /* four rows of n_indicators: before a step, after it, and two in between */
 
+    volatile int64_t *called; /* the component that is being called: others look at it */
+
     Failure failure;
 } Agent;
 
@@ -201,7 +203,8 @@ typedef struct {
     int64_t n_receivers; /* of the mail of a tick */
     int64_t period_ns;
     const Member *members;
-    volatile int64_t *attended; /* the tick from which members are being advanced, and the place of the one that is: others look at it */
+    volatile int64_t *attended; /* the tick from which members are being advanced, the place of the one that is, and its
+                                   component that is being called: others look at it */
     const double *signals; /* of all receivers of the mail */
     Selection samples; /* what they publish */
     Selection row;     /* what is recorded of them */

@@ -141,6 +141,7 @@ class Agent(ctypes.Structure):
         ("absolute_tolerance", c_double),
         *((name, c_void_p) for name in ("signals", "previous", "steps", "next_event", "time")),
         *((name, c_void_p) for name in ("before", "middle", "source", "states", "new_states", "stages", "indicators")),
+        ("called", c_void_p),
         ("failure", Failure),
     )
 
@@ -183,9 +184,11 @@ def library() -> ctypes.CDLL:
         loaded = ctypes.CDLL(str(Path(__file__).with_name(f"_kernel{suffix}")))
         loaded.cosim_kernel_advance.restype = c_int64
         loaded.cosim_kernel_sizes.restype = c_uint64
+        loaded.cosim_watch_crashes.restype = loaded.cosim_ignore_crashes.restype = None
     except (OSError, AttributeError) as error:
         raise _unusable(f"cannot be loaded ({error})") from error
     loaded.cosim_kernel_advance.argtypes = (c_void_p, c_int64, c_int64, c_void_p, c_void_p, c_void_p)
+    loaded.cosim_watch_crashes.argtypes = (c_int32, c_int32, c_int32)
     agent, component, transfer, *others = (
         ctypes.sizeof(struct) for struct in (Agent, Component, Transfer, Failure, Mail, Member, Block)
     )

@@ -20,8 +20,8 @@ static inline double scaled(const Transfer *transfer, int32_t i, double value) {
 
 /* Defines get_fmi<version>_<Name> and set_fmi<version>_<Name>; CONVERT turns the double `value` into the FMI type. */
 #define DEFINE_ACCESS(version, Name, CONVERT)                                                                  \
-    static bool get_fmi##version##_##Name(Agent *agent, const Transfer *transfer) {                           \
-        const Component *component = &agent->components[transfer->component];                                  \
+    static bool get_fmi##version##_##Name(Agent *agent, const Transfer *transfer) {                            \
+        const Component *component = called(agent, transfer->component);                                       \
         fmi##version##Name *buffer = transfer->buffer;                                                         \
         int call = GET_VALUES + transfer->type;                                                                \
         int status = (int)((fmi##version##Get##Name##TYPE *)component->functions[call])(component->instance,   \
@@ -32,7 +32,7 @@ static inline double scaled(const Transfer *transfer, int32_t i, double value) {
         return true;                                                                                           \
     }                                                                                                          \
     static bool set_fmi##version##_##Name(Agent *agent, const Transfer *transfer, const double *source) {      \
-        const Component *component = &agent->components[transfer->component];                                  \
+        const Component *component = called(agent, transfer->component);                                       \
         fmi##version##Name *buffer = transfer->buffer;                                                         \
         for (int32_t i = 0; i < transfer->n_values; i++) {                                                     \
             double value = scaled(transfer, i, source[transfer->positions[i]]);                                \
@@ -118,7 +118,7 @@ static bool get(Agent *agent, int32_t index) {
 /* Doubles that lie one by one among the signals, as most do: the component reads and writes them in their place. */
 static bool get_in_place(Agent *agent, int32_t index) {
     const Transfer *transfer = &agent->transfers[index];
-    const Component *component = &agent->components[transfer->component];
+    const Component *component = called(agent, transfer->component);
     Function f = component->functions[GET_VALUES + FLOAT64];
     size_t n = (size_t)transfer->n_references, n_values = (size_t)transfer->n_values;
     double *values = agent->signals + transfer->begin;
@@ -132,7 +132,7 @@ static bool get_in_place(Agent *agent, int32_t index) {
 }
 
 static bool set_in_place(Agent *agent, const Transfer *transfer, const double *source) {
-    const Component *component = &agent->components[transfer->component];
+    const Component *component = called(agent, transfer->component);
     Function f = component->functions[SET_VALUES + FLOAT64];
     size_t n = (size_t)transfer->n_references, n_values = (size_t)transfer->n_values;
     const double *values = source + transfer->begin;

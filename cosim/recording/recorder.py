@@ -64,6 +64,10 @@ class Recorder:
         folder: the run folder; it must not exist, or be empty.
         details: further entries for the manifest, such as the number of processes.
         block_bytes: how many bytes of rows to keep in memory. It changes the row groups, not the digest.
+
+    Attributes:
+        folder: as it was given.
+        place: where that is, whichever folder an FMU makes the current one.
     """
 
     def __init__(
@@ -75,6 +79,7 @@ class Recorder:
         block_bytes: int = BLOCK_BYTES,
     ) -> None:
         self.folder = folder
+        self.place = folder.absolute()
         self._plan = plan
         self._layout = Layout.of(plan)
         self._digest = self._layout.digest()
@@ -103,16 +108,16 @@ class Recorder:
         self._started = time.perf_counter()
         self._manifest = manifest.begin(self._plan, self._layout.columns, self._details)
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            if any(self.folder.iterdir()):
-                raise folder_problem(self.folder, occupied(self.folder))
+            self.place.mkdir(parents=True, exist_ok=True)
+            if any(self.place.iterdir()):
+                raise folder_problem(self.folder, occupied(self.place))
             with contextlib.ExitStack() as undo:
                 self._create_files(undo)
                 undo.pop_all()
         except Held:
-            raise folder_problem(self.folder, occupied(self.folder)) from None
+            raise folder_problem(self.folder, occupied(self.place)) from None
         except OSError as error:
-            where = Path(error.filename or self.folder)
+            where = self._shown(error.filename or self.place)
             raise folder_problem(where, f"cannot write the run folder: {error.strerror or error}") from None
 
     def add(self, details: Mapping[str, Any]) -> None:
@@ -208,7 +213,7 @@ class Recorder:
             try:
                 self._external.add(tick, taken)
             except OSError as error:
-                raise self._error(self.folder / EXTERNAL, error) from None
+                raise self._error(self.place / EXTERNAL, error) from None
 
     def close(self, status: str) -> str:
         """Write what is left, end both files and bring the manifest up to date.
@@ -233,7 +238,7 @@ class Recorder:
         if failures and status == Status.COMPLETE:
             status = f"{Status.ABORTED}: {failures[0]}"
         digest = self._digest.hexdigest()
-        (self.folder / RESERVE).unlink(missing_ok=True)
+        (self.place / RESERVE).unlink(missing_ok=True)
         try:
             self._write_manifest(status, wall, digest)
         except OSError as error:
@@ -261,7 +266,7 @@ class Recorder:
                 raise self._full
             self._spool.take_room()
         except OSError as error:
-            self._failure = self._error(self.folder, error)
+            self._failure = self._error(self.place, error)
             raise self._failure from None
         self._full = None
 
@@ -301,30 +306,35 @@ class Recorder:
         self._full = error
         self._spool.drop()
 
+    def _shown(self, path: Path | str) -> Path:
+        """A path within the folder, as the user wrote that one."""
+        path = Path(path)
+        return self.folder / path.relative_to(self.place) if path.is_relative_to(self.place) else path
+
     def _error(self, path: Path, error: OSError | None) -> RecordingError:
         recorded = to_seconds(max(0, self._tables.ticks - 1) * self._plan.period_ns)
         return RecordingError(
-            f"cannot write {path}: {getattr(error, 'strerror', None) or error}; "
+            f"cannot write {self._shown(path)}: {getattr(error, 'strerror', None) or error}; "
             f"the run is recorded until t = {recorded:.9g} s. Free some space, or choose another disk with --out"
         )
 
     # --- files ------------------------------------------------------------------------------------------------------
     def _create_files(self, undo: contextlib.ExitStack) -> None:
         """All files of the run folder; `undo` removes them again."""
-        self._lock = FolderLock(self.folder, RUN)
+        self._lock = FolderLock(self.place, RUN)
         undo.callback(self._lock.release)
         for name in (SCENARIO, TRAJECTORIES, DELIVERIES, MANIFEST, *HIDDEN):
-            undo.callback((self.folder / name).unlink, missing_ok=True)
-        (self.folder / SCENARIO).write_text(self._plan.scenario, encoding="utf-8")
-        with (self.folder / RESERVE).open("xb") as reserve:
+            undo.callback((self.place / name).unlink, missing_ok=True)
+        (self.place / SCENARIO).write_text(self._plan.scenario, encoding="utf-8")
+        with (self.place / RESERVE).open("xb") as reserve:
             allocate(reserve.fileno(), 0, _RESERVE_BYTES)
-        self._tables = RunTables(self.folder, self._layout)
+        self._tables = RunTables(self.place, self._layout)
         undo.callback(self._tables.abandon)
-        self._spool = Spool(self.folder, self._layout, self._tables)
+        self._spool = Spool(self.place, self._layout, self._tables)
         undo.callback(self._spool.close)
         if self._plan.bridge.subscribe:
-            undo.callback((self.folder / LOG).unlink, missing_ok=True)
-            self._external = ExternalLog(self.folder, self._plan.bridge.subscribe)
+            undo.callback((self.place / LOG).unlink, missing_ok=True)
+            self._external = ExternalLog(self.place, self._plan.bridge.subscribe)
             undo.callback(self._external.close)
         self._write_manifest(Status.RUNNING)  # the last of all: it says that there is something to recover
 
@@ -332,21 +342,23 @@ class Recorder:
         try:
             self._tables.close()
         except OSError as error:
-            raise RecordingError(f"cannot write {error.filename or self.folder}: {error.strerror or error}") from error
+            raise RecordingError(
+                f"cannot write {self._shown(error.filename or self.place)}: {error.strerror or error}"
+            ) from error
 
     def _close_external(self) -> None:
         if self._external is None:
             return
         self._external.close()
         try:
-            convert(self.folder)
+            convert(self.place)
         except OSError as error:
             raise RecordingError(f"cannot write {self.folder / EXTERNAL}: {error.strerror or error}") from error
 
     def _write_manifest(self, status: str, wall: float | None = None, digest: str | None = None) -> None:
         n_ticks = self._tables.ticks if digest else 0
         outcome = manifest.with_outcome(self._manifest, status, n_ticks, wall, self._start, digest)
-        write_atomically(self.folder / MANIFEST, manifest.to_json(outcome))
+        write_atomically(self.place / MANIFEST, manifest.to_json(outcome))
 
 
 def _table(fates: Fates, begin: int, end: int) -> Ints:

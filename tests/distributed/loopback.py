@@ -89,7 +89,7 @@ class Loopback:
 
     def _replace(self, name: str) -> None:
         """Another process for a worker that is gone; in its place, so that it is as slow."""
-        moment = Moment(self.orchestration.position(name), None, known=True)
+        moment = Moment(self.orchestration.position(name), known=True)
         assert self.orchestration.why_not_replaced(name, moment) is None
         new, messages = self.orchestration.replace(name, moment)
         self._endpoints = renamed(self._endpoints, name, new)

@@ -142,7 +142,9 @@ def test_native_code_that_hangs_or_crashes(fails: str, said: str, probes: dict[i
     with pytest.raises(ClusterError) as caught:
         cluster.run(plan, 1, [Record()], step_deadline=1.0)
     lines = str(caught.value).splitlines()
-    assert lines[0] == f"worker-1 (agents 1..3) {said} at tick 3 (t = 0.3 s), while it advanced agent 2 (probe)"
+    assert (
+        lines[0] == f"worker-1 (agents 1..3) {said} at tick 3 (t = 0.3 s), while it advanced agent 2, component probe"
+    )
     assert re.fullmatch(r"  the emulator waits for the samples of tick \d from worker-1 \(agents 1..3\)", lines[1])
     assert_nothing_left(scratch)
 

@@ -161,7 +161,7 @@ def test_worker_that_does_not_go_on_once(
         "why": "",
         "tick": 100,
     }
-    assert "while it advanced agent 2 (node); worker-1.2 takes its place" in told.lines[0]
+    assert "while it advanced agent 2, component node; worker-1.2 takes its place" in told.lines[0]
     assert told.lines[-1].startswith("worker-1.2 (agents 1, 2) has caught up at tick 10")
     assert_nothing_left(scratch)
 
@@ -172,7 +172,7 @@ def test_component_that_always_kills_its_process_is_given_up(scratch: Path, undi
         cluster.run(planned(lossy(faults={3: ("Killed", 3.05)})), 2, [record], tell=told)
     lines = str(caught.value).splitlines()
     assert lines[0].startswith("worker-2.2 (agents 3, 4) was killed by signal 9 ")
-    assert lines[0].endswith("at tick 30 (t = 3 s), while it advanced agent 3 (node)")
+    assert lines[0].endswith("at tick 30 (t = 3 s), while it advanced agent 3, component node")
     assert lines[1] == "  worker-2.2 was lost twice at tick 30: it is not replaced again"
     assert len(told.restarts) == 1
     assert len(record.ticks) > 1
@@ -194,8 +194,9 @@ def test_command_line_and_manifest(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     (tmp_path / "plain.yaml").write_text(scenario(4, ring(4), ticks=60))
     across = cosim(tmp_path, "net.yaml", "--distributed", "--on-worker-loss", "restart", "--out", "a", "--workers", "2")
     assert across.returncode == 0, across.stderr
-    assert "worker-1 (agents 1, 2) ended with exit code 7 at tick 30 (t = 3 s), while it advanced agent 1 (node); " in (
-        across.stderr
+    assert (
+        "worker-1 (agents 1, 2) ended with exit code 7 at tick 30 (t = 3 s), while it advanced agent 1, component node"
+        in (across.stderr)
     )
     assert "worker-1.2 (agents 1, 2) has caught up at tick " in across.stderr
     assert cosim(tmp_path, "plain.yaml", "--out", "b").returncode == 0

@@ -169,6 +169,7 @@ def test_a_missing_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         library_beside(tmp_path, monkeypatch)
 
 
+FUNCTIONS = ("kernel_advance", "watch_crashes", "ignore_crashes")
 EXPORT = '__attribute__((visibility("default")))'
 
 
@@ -177,8 +178,8 @@ EXPORT = '__attribute__((visibility("default")))'
     [
         (f"{EXPORT} int other(void) {{ return 0; }}", "cannot be loaded"),
         (
-            f"{EXPORT} int cosim_kernel_advance(void) {{ return 0; }}\n"
-            f"{EXPORT} unsigned long long cosim_kernel_sizes(void) {{ return 1; }}",
+            "".join(f"{EXPORT} int cosim_{name}(void) {{ return 0; }}\n" for name in FUNCTIONS)
+            + f"{EXPORT} unsigned long long cosim_kernel_sizes(void) {{ return 1; }}",
             "built from other sources",
         ),
     ],

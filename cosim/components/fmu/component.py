@@ -92,6 +92,10 @@ class FmuComponent(Component):
             raise ComponentError(name, f"cannot be opened: {error}", self.log.last) from error
         self._instance = self._fmu.component
 
+    @property
+    def last_log(self) -> str | None:
+        return self.log.last
+
     @abstractmethod
     def _instantiate(self) -> None: ...
 
@@ -111,7 +115,8 @@ class FmuComponent(Component):
         )
 
     def require_usable(self) -> None:
-        """Raise `ComponentError` if the instance has failed or ended, so that it must not be called."""
+        """Before every call. Raise `ComponentError` if the instance has failed or ended."""
+        self._called()
         if not self._usable or self._failed:
             raise ComponentError(self.name, "has failed or ended and cannot be called any more", self.log.last)
 

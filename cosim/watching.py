@@ -1,0 +1,206 @@
+"""Native code that never returns, or crashes, in the process of a run: somebody must say so, and keep what there is.
+
+While FMUs are being called, a thread looks on. It sees how long the same agent has been at the same tick, which signals
+have come that Python cannot obey before a call returns, and what `cosim/kernel/crash.c` tells of crashes. Where the run
+cannot go on, it has the run folder closed and ends the process.
+
+An FMU that leaves memory in disorder can take this thread with it; then the process ends as the system lets it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import select
+import signal
+import socket
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NoReturn, Protocol, Self
+
+from cosim import scratch
+from cosim.attention import TICK, Spot, idle
+from cosim.errors import ConfigError, CosimError, RunError
+from cosim.spawning import signal_name
+from cosim.stopping import REQUESTS, StopRequest, screen
+from network.units import to_seconds
+
+if TYPE_CHECKING:
+    from cosim.agents import Agents
+    from cosim.plan import AgentPlan
+
+LOOK_SECONDS = 0.25
+GRACE_SECONDS = 0.5
+"""So long Python may take to see a signal."""
+
+PATIENCE_SECONDS = 5.0
+"""So long a crash waits for the thread, and the thread for whoever is at the record."""
+
+_CRASHES = {getattr(signal, name, 0) for name in ("SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL", "SIGABRT")}
+_FAILED = 3
+
+
+class Record(Protocol):
+    """What is to be kept of a run."""
+
+    def keep(self, error: CosimError, *, in_order: bool) -> None:
+        """Say what ended the run, and leave what was computed until then; `in_order`: nobody else is at it."""
+
+
+class _AtComponents:
+    """Inside, the run's own thread leaves the record alone."""
+
+    def __init__(self, at_record: threading.Lock) -> None:
+        self._at_record = at_record
+
+    def __enter__(self) -> None:
+        self._at_record.release()
+
+    def __exit__(self, *_: object) -> None:
+        self._at_record.acquire()
+
+
+class Watch:
+    """Looks on while a run's components are called in this process. To be entered by the main thread.
+
+    Args:
+        agents: that run.
+        period_ns: T.
+        deadline: seconds of wall time that an FMU may take for an agent's period, or to be opened or initialised.
+        stop: of the run.
+        record: that the run leaves.
+
+    Attributes:
+        attended: what the agents keep up to date; see `cosim.attention`.
+        agents: those that are watched, once they are open.
+        at_components: to be entered whenever components are called.
+    """
+
+    def __init__(
+        self, agents: Sequence[AgentPlan], period_ns: int, deadline: float, stop: StopRequest, record: Record
+    ) -> None:
+        self.attended = idle()
+        self.agents: Agents | None = None
+        self._plans = agents
+        self._period_ns = period_ns
+        self._deadline = deadline
+        self._stop = stop
+        self._record = record
+        self._at_record = threading.Lock()
+        self.at_components = _AtComponents(self._at_record)
+        self._asked: list[float] = []  # when signals came that ask for the end
+        self._number = 0  # of the latest of them
+        self._told = False
+        self._kernel = _kernel()
+
+    def __enter__(self) -> Self:
+        self._obeyed = self._stop.count
+        self._at_record.acquire()
+        self._here, there = socket.socketpair()
+        there.setblocking(False)
+        self._there = there
+        self._previous = signal.set_wakeup_fd(there.fileno(), warn_on_full_buffer=False)
+        if self._kernel is not None:
+            self._kernel.cosim_watch_crashes(there.fileno(), int(1000 * PATIENCE_SECONDS), screen())
+        self._thread = threading.Thread(target=self._look, name="watch", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._kernel is not None:
+            self._kernel.cosim_ignore_crashes()
+        signal.set_wakeup_fd(self._previous)
+        self._there.close()
+        self._thread.join()
+        self._here.close()
+
+    # --- the thread -------------------------------------------------------------------------------------------------
+    def _look(self) -> None:
+        at: tuple[int, Spot] | None = None
+        held, looked = 0.0, time.monotonic()
+        while True:
+            if select.select([self._here], [], [], LOOK_SECONDS)[0]:
+                numbers = self._here.recv(64)
+                if not numbers:
+                    return
+                self._take(numbers)
+            now, before = time.monotonic(), at
+            spot = Spot.of(self.attended)
+            at = None if spot.agent is None else (int(self.attended[TICK]), spot)
+            # A process that was stopped for a while, or is looked at with a debugger, does not hang.
+            held = held + min(now - looked, 2 * LOOK_SECONDS) if at is not None and at == before else 0.0
+            looked = now
+            if at is not None and self._is_native(spot):
+                if held > self._deadline:
+                    longer = "--step-deadline gives it longer, if it is only slow"
+                    self._end(self._failure(spot, f"has not returned for {self._deadline:g} s; {longer}"), _FAILED)
+                self._see_to_requests(spot, now)
+
+    def _take(self, numbers: bytes) -> None:
+        for number in numbers:
+            if number in REQUESTS:
+                self._asked.append(time.monotonic())
+                self._number = number
+            elif number in _CRASHES:
+                self._crashed(number)
+
+    def _crashed(self, number: int) -> NoReturn:
+        spot = Spot.of(self.attended)
+        how = f"crashed ({signal_name(number)})"
+        if spot.agent is None:
+            self._end(CosimError(f"native code {how} outside of the components"), _FAILED)
+        text = f"{how}; `isolate: true` gives it a process of its own"
+        self._end(self._failure(spot, text), _FAILED)
+
+    def _see_to_requests(self, spot: Spot, now: float) -> None:
+        """Those that Python cannot obey, as native code does not return."""
+        if len(self._asked) <= self._stop.count - self._obeyed or now - self._asked[0] < GRACE_SECONDS:
+            return
+        who = spot.within(self._plans[spot.agent or 0])
+        if len(self._asked) > 1:
+            seconds = to_seconds(max(0, int(self.attended[TICK])) * self._period_ns)
+            text = f"interrupted at t = {seconds:.9g} s: no call returned from {who}"
+            self._end(CosimError(text), 128 + self._number)
+        if not self._told:
+            self._told = True
+            self._say(f"stopping as soon as a call returns from {who}; once more to stop at once")
+
+    def _is_native(self, spot: Spot) -> bool:
+        """Whether it is an FMU in this process that is called: Python can be interrupted, others are watched there."""
+        if spot.agent is None or spot.component is None:
+            return False
+        component = self._plans[spot.agent].components[spot.component]
+        return component.path is not None and component.isolation is None
+
+    def _failure(self, spot: Spot, text: str) -> CosimError:
+        assert spot.agent is not None
+        if self.agents is not None:
+            return self.agents.failure(spot, text)
+        agent = self._plans[spot.agent]
+        names = [component.name for component in agent.components]
+        return RunError(agent.name, ", ".join(names) if spot.component is None else names[spot.component], 0.0, text)
+
+    def _end(self, error: CosimError, code: int) -> NoReturn:
+        in_order = self._at_record.acquire(timeout=PATIENCE_SECONDS)
+        self._say("")
+        self._record.keep(error, in_order=in_order)
+        self._say(f"error: {error}" if code == _FAILED else str(error))
+        scratch.remove_all()
+        sys.stdout.flush()
+        os._exit(code)
+
+    @staticmethod
+    def _say(text: str) -> None:
+        os.write(screen(), f"{text}\n".encode())
+
+
+def _kernel() -> ctypes.CDLL | None:
+    """What tells of crashes; runs without the native loop can do without it."""
+    from cosim.kernel.layout import library
+
+    try:
+        return library()
+    except ConfigError:
+        return None

@@ -1,0 +1,130 @@
+"""FMUs that crash, never return or wander about in the process of the run itself, through the real command line."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from cosim.results import load
+from tests.components.misbehaving import ROOT, cosim, scenario
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+
+LOOPS = {
+    "native": ("jacobi", "native"),
+    "python": ("jacobi", "python"),
+    "joint": ("joint", "native"),
+}
+
+
+def left(folder: Path, last_tick: int) -> None:
+    """What was computed is there and whole, and nothing else is."""
+    run = load(folder / "out")
+    assert run.manifest["status"].startswith("aborted: ")
+    assert run.trajectories["tick"].max() == last_tick
+    assert not list((folder / "tmp").iterdir())
+
+
+@pytest.mark.parametrize("loop", ["native", "python"])
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_crash_is_told(probes: dict[int, Path], tmp_path: Path, fmi: int, loop: str) -> None:
+    text = scenario(probes[fmi], "step_crashes")
+    done = cosim(
+        tmp_path, "run", "net.yaml", "--out", "out", "--no-report", "--set", f"coupling.loop={loop}", text=text
+    )
+    assert done.returncode == 3
+    said = r"error: agent bad, component probe, at t = 0\.3\d* s: crashed \(SIGSEGV\); `isolate: true` gives it"
+    assert re.search(f"^{said} a process of its own$", done.stderr, re.MULTILINE), done.stderr
+    assert "what components logged and printed is in out/logs" in done.stderr
+    assert (tmp_path / "out" / "logs" / "output.log").read_text().splitlines()[-1] == "about to crash"
+    left(tmp_path, 3)
+
+
+@pytest.mark.parametrize("loop", LOOPS)
+def test_a_call_that_never_returns_ends_at_the_deadline(probes: dict[int, Path], tmp_path: Path, loop: str) -> None:
+    method, kind = LOOPS[loop]
+    text = scenario(probes[3], "derivative_hangs" if method == "joint" else "step_hangs", method=method)
+    arguments = ("--no-report", "--step-deadline", "1 s", "--set", f"coupling.loop={kind}")
+    done = cosim(tmp_path, "run", "net.yaml", "--out", "out", *arguments, text=text)
+    assert done.returncode == 3
+    said = r"error: agent bad, component probe, at t = 0\.3\d* s: has not returned for 1 s; --step-deadline gives"
+    assert re.search(f"^{said}", done.stderr, re.MULTILINE), done.stderr
+    left(tmp_path, 3)
+
+
+def await_text(stream: Path, text: str) -> None:
+    await_true(lambda: text in stream.read_text())
+
+
+def await_true(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_call_that_never_returns_can_be_stopped(
+    probes: dict[int, Path], tmp_path: Path, number: signal.Signals
+) -> None:
+    """The first signal is told who keeps it waiting, the second one ends the run."""
+    (tmp_path / "net.yaml").write_text(scenario(probes[3], "step_hangs"), encoding="utf-8")
+    (tmp_path / "tmp").mkdir()
+    errors = tmp_path / "errors"
+    with errors.open("w") as stream:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "cosim", "run", "net.yaml", "--out", "out", "--no-report"],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path / "tmp")},
+            stderr=stream,
+        )
+    try:
+        log = tmp_path / "out" / "logs" / "output.log"
+        await_true(lambda: log.exists() and "going round in circles" in log.read_text())
+        process.send_signal(number)
+        await_text(
+            errors, "stopping as soon as a call returns from agent bad, component probe; once more to stop at once"
+        )
+        assert process.poll() is None
+        process.send_signal(number)
+        assert process.wait(60) == 128 + number
+    finally:
+        process.kill()
+        process.wait(60)
+    said = errors.read_text()
+    assert "interrupted at t = 0.3 s: no call returned from agent bad, component probe" in said
+    assert "everything until then is in out" in said
+    left(tmp_path, 3)
+
+
+def test_a_program_that_handles_crashes_itself_is_left_alone(probes: dict[int, Path], tmp_path: Path) -> None:
+    """Python's own fault handler says where, as whoever asked for it wants to know; so do virtual machines in FMUs."""
+    (tmp_path / "net.yaml").write_text(scenario(probes[3], "step_crashes"), encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-X", "faulthandler", "-m", "cosim", "run", "net.yaml", "--out", "out", "--no-report"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == -signal.SIGSEGV
+    assert cosim(tmp_path, "report", "out").returncode == 0  # it saves what was computed until then
+    assert load(tmp_path / "out").trajectories["tick"].max() == 3
+
+
+@pytest.mark.parametrize("way", [(), ("--distributed", "--workers", "1")], ids=["here", "in a worker"])
+def test_an_fmu_that_changes_the_current_folder(probes: dict[int, Path], tmp_path: Path, way: tuple[str, ...]) -> None:
+    done = cosim(tmp_path, "run", "net.yaml", "--out", "out", *way, text=scenario(probes[3], "step_wanders"))
+    assert done.returncode == 0, done.stderr
+    assert "  report                   out/report.html" in done.stdout
+    assert load(tmp_path / "out").manifest["status"] == "complete"
+    assert (tmp_path / "out" / "report.html").exists()
