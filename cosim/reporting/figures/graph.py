@@ -37,7 +37,9 @@ def draw_graph(scene: Scene) -> tuple[Figure, str]:
     figure = Figure(figsize=(style.WIDTH, height))
     axes = figure.add_axes((0.02, 0.02, 0.96, 1 - 0.04 - 0.2 / height))
     axes.set_axis_off()
-    radius = _radius(positions, height)
+    outside = 2 < n <= ON_A_CIRCLE and _longest(links) > _INSIDE
+    margin = _MARGIN + (2 * _NAME if outside else 0.0)
+    radius = _radius(positions, height, margin)
     _arrows(axes, positions, links, radius)
     kinds = [_kind(name, leaders, set() if all_roots else root) for name in links.agents]
     for kind, (face, edge, thick, _) in _KINDS.items():
@@ -53,7 +55,7 @@ def draw_graph(scene: Scene) -> tuple[Figure, str]:
             zorder=3,
         )
     _names(axes, positions, links, [_KINDS[kind][0] for kind in kinds], radius)
-    _frame(axes, positions, height)
+    _frame(axes, positions, height, margin)
     present = [kind for kind in _KINDS if kind in kinds]
     if present != ["other"]:
         _legend(figure, present, height)
@@ -61,6 +63,15 @@ def draw_graph(scene: Scene) -> tuple[Figure, str]:
     text += " Every agent is a root." if all_roots else f" {_roots(links, root)}"
     return figure, text
 
+
+_INSIDE = 3
+"""Letters of names that fit into a disc."""
+
+_MARGIN, _NAME = 26.0, 8.0
+"""Points around the discs, and those that a name takes."""
+
+_BESIDE = 0.3
+"""A name is centred on its disc where the circle leads less to that side."""
 
 # Fill, edge, width of the edge, label.
 _KINDS = {
@@ -173,26 +184,31 @@ def _classical_scaling(distance: Floats) -> Floats:
     return scaled
 
 
+def _longest(links: Links) -> int:
+    """Letters of the longest name."""
+    return max(map(len, links.agents))
+
+
 # --- drawing ----------------------------------------------------------------------------------------------------------
-def _scale(positions: Floats, height: float) -> float:
+def _scale(positions: Floats, height: float, margin: float) -> float:
     """Points per unit of the layout."""
     extent = np.maximum(np.ptp(positions, axis=0), 1e-9)
-    room = 72 * np.array([0.96 * style.WIDTH, 0.96 * height - 0.2]) - 26
+    room = 72 * np.array([0.96 * style.WIDTH, 0.96 * height - 0.2]) - margin
     return float(np.min(room / extent))
 
 
-def _radius(positions: Floats, height: float) -> float:
+def _radius(positions: Floats, height: float, margin: float) -> float:
     """Of a disc in points: as large as the nearest pair allows, within reason."""
     if len(positions) < 2:
         return 9.0
     np.fill_diagonal(gap := _gaps(positions), np.inf)
-    nearest = float(np.quantile(gap.min(axis=1), 0.1)) * _scale(positions, height)
+    nearest = float(np.quantile(gap.min(axis=1), 0.1)) * _scale(positions, height, margin)
     return float(np.clip(0.36 * nearest, 3.2, 9.0))
 
 
-def _frame(axes: Axes, positions: Floats, height: float) -> None:
+def _frame(axes: Axes, positions: Floats, height: float, margin: float) -> None:
     """Equal scales, room for the discs at the rim."""
-    scale = _scale(positions, height)
+    scale = _scale(positions, height, margin)
     middle = (positions.max(axis=0) + positions.min(axis=0)) / 2
     half = 72 * np.array([0.96 * style.WIDTH, 0.96 * height - 0.2]) / 2 / scale
     axes.set_xlim(middle[0] - half[0], middle[0] + half[0])
@@ -228,18 +244,21 @@ def _arrows(axes: Axes, positions: Floats, links: Links, radius: float) -> None:
 
 
 def _names(axes: Axes, positions: Floats, links: Links, faces: list[str], radius: float) -> None:
-    """Inside the discs, or below them where they are long."""
-    longest = max(map(len, links.agents))
-    inside = longest <= 3
+    """Inside the discs; where they are long, outside of a circle, or below the discs."""
+    longest = _longest(links)
+    inside = longest <= _INSIDE
+    circular = 2 < len(positions) <= ON_A_CIRCLE
     size = min(8.5, 1.9 * radius / (0.5 * max(2, longest))) if inside else 7.0
     for (x, y), name, face in zip(positions.tolist(), links.agents, faces, strict=True):
+        out_x, out_y = (x, y) if circular else (0.0, -1.0)
+        away = 0.0 if inside else radius + 2
         axes.annotate(
             name,
             (x, y),
-            xytext=(0, 0 if inside else -radius - 1),
+            xytext=(away * out_x, away * out_y),
             textcoords="offset points",
-            ha="center",
-            va="center_baseline" if inside else "top",
+            ha="center" if inside or abs(out_x) < _BESIDE else "left" if out_x > 0 else "right",
+            va="center_baseline" if inside or abs(out_y) < _BESIDE else "bottom" if out_y > 0 else "top",
             fontsize=size,
             color="white" if inside and face == style.WARM else style.INK,
             zorder=4,

@@ -13,13 +13,16 @@ from cosim.reporting.edges import Edges
 from cosim.reporting.figures import style
 from cosim.reporting.figures.scene import need_messages
 from network.freshness import ages_at_ticks
-from network.messages import Floats
+from network.messages import Floats, Ints
 
 MAX_ROWS = 300
 """Edges that are shown: the worst, if there are more."""
 
 NAMED_ROWS = 40
 """Up to as many edges are named; beyond, receivers are, where there is room."""
+
+NAMED_LETTERS = 12
+"""Of the longest name that fits beside the map."""
 
 MAX_BINS = 300
 """Along the time axis."""
@@ -33,12 +36,14 @@ def draw_heat(edges: Edges) -> tuple[Figure, str]:
     need_messages(edges)
     shown = sorted(edges.worst_first[:MAX_ROWS])  # the plan's order is by receiver
     values, width = binned(edges, shown)
-    height = float(np.clip(0.085 * len(shown), 0.7, 4.2))
+    names = [edges.name(link).replace(" ", "") for link in shown]
+    named = len(shown) <= NAMED_ROWS and max(map(len, names)) <= NAMED_LETTERS
+    height = float(np.clip(0.085 * len(shown), 0.7 if named else 1.2, 4.2))
     broken = any(len(edges.breaks[link]) for link in shown)
     labels = ["older than assumed"] if broken else []
     figure, (ax,) = style.panels(1, height, lines=style.legend_lines(labels))
     if (grid := ax.get_gridspec()) is not None:
-        grid.update(right=0.915)  # for the label of the colour bar
+        grid.update(right=0.895)  # for the label of the colour bar
     end = edges.span.n_ticks * results.period_ns / 1e9
     largest = float(values.max())
     image = ax.imshow(
@@ -61,7 +66,7 @@ def draw_heat(edges: Edges) -> tuple[Figure, str]:
     style.legend(figure, [Line2D([], [], color=style.WARM, linewidth=1.5)] if broken else [], labels)
     style.time_axis(ax, 0.0, end)
     ax.grid(visible=False)
-    _name_rows(ax, edges, shown)
+    _name_rows(ax, edges.results.links.receiver[shown], names if named else [])
     text = "The largest age read at a tick, per edge and time; edges with the same receiver lie together."
     if len(shown) < len(edges):
         text += f" Of {len(edges)} edges the worst {len(shown)} are shown."
@@ -79,12 +84,10 @@ def binned(edges: Edges, shown: list[int]) -> tuple[Floats, float]:
     return np.array(rows) / 1e9, per_bin * edges.span.period_ns / 1e9
 
 
-def _name_rows(axes: Axes, edges: Edges, shown: list[int]) -> None:
-    receiver = edges.results.links.receiver[shown]
+def _name_rows(axes: Axes, receiver: Ints, names: list[str]) -> None:
     changes = np.flatnonzero(np.diff(receiver)) + 1
-    n = len(shown)
-    if n <= NAMED_ROWS and max(len(edges.name(link)) for link in shown) <= 10:
-        names = [edges.name(link).replace(" ", "") for link in shown]
+    n = len(receiver)
+    if names:
         axes.set_yticks(range(n), names, fontsize=5.5)
         axes.tick_params(axis="y", length=0, pad=1.5)
     else:

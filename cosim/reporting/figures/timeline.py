@@ -19,6 +19,9 @@ TICKS = 60
 MAX_LANES = 5
 """Edges that are shown: the worst one, then others of its receiver."""
 
+NAMED_LETTERS = 8
+"""Of the longest name that fits beside the lanes."""
+
 
 def draw_timeline(edges: Edges) -> tuple[Figure, str]:
     """A lane per edge: above when messages left, below when they arrived."""
@@ -35,7 +38,7 @@ def draw_timeline(edges: Edges) -> tuple[Figure, str]:
     style.time_axis(ax, begin, end)
     ax.set_ylim(len(lanes) - 0.15, -0.2)
     names = [edges.name(link).replace(" ", "") for link in lanes]
-    fits = max(map(len, names)) <= 10
+    fits = max(map(len, names)) <= NAMED_LETTERS
     ax.set_yticks(np.arange(len(lanes)) + 0.35, names if fits else [str(i + 1) for i in range(len(lanes))])
     ax.tick_params(axis="y", length=0)
     ax.grid(axis="y", visible=False)
