@@ -190,14 +190,14 @@ def _longest(links: Links) -> int:
 
 
 # --- drawing ----------------------------------------------------------------------------------------------------------
-def _scale(positions: Floats, height: float, margin: float) -> float:
+def _scale(positions: Floats, height: float, margin: float = _MARGIN) -> float:
     """Points per unit of the layout."""
     extent = np.maximum(np.ptp(positions, axis=0), 1e-9)
     room = 72 * np.array([0.96 * style.WIDTH, 0.96 * height - 0.2]) - margin
     return float(np.min(room / extent))
 
 
-def _radius(positions: Floats, height: float, margin: float) -> float:
+def _radius(positions: Floats, height: float, margin: float = _MARGIN) -> float:
     """Of a disc in points: as large as the nearest pair allows, within reason."""
     if len(positions) < 2:
         return 9.0
