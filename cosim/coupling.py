@@ -33,7 +33,15 @@ from numpy.typing import NDArray
 
 from cosim import algebraic
 from cosim.components.component import Component, Floats
-from cosim.crossings import STATE_EVENTS_PER_STEP, bracket, chattering, crossed, first_crossing
+from cosim.crossings import (
+    STATE_EVENTS_PER_STEP,
+    bracket,
+    cautious_step,
+    chattering,
+    crossed,
+    first_crossing,
+    less_cautious,
+)
 from cosim.errors import ComponentError
 from cosim.mailbox import Updates
 from cosim.memory import LoopState
@@ -205,22 +213,33 @@ class PythonLoop:
             return
         events, since_ns = 0, start_ns
         while start_ns < end_ns:
-            stop_ns = end_ns
-            for event in self._state.next_event.tolist():
-                if to_seconds(start_ns) < event < to_seconds(end_ns):
-                    event_ns = math.floor(event * NANOSECONDS_PER_SECOND + 0.5)
-                    if start_ns < event_ns < stop_ns:
-                        stop_ns = event_ns
+            known_ns = self._next_stop(start_ns, end_ns)
+            cautious_ns = int(self._state.steps[0].item())
+            stop_ns = min(known_ns, start_ns + cautious_ns) if cautious_ns else known_ns
+            self._located = False
             reached_ns = self._integrate_states(start_ns, stop_ns)
-            if reached_ns < stop_ns:
+            if self._located:
                 if reached_ns - since_ns > self._coupling.step_ns:
                     events, since_ns = 0, reached_ns
                 events += 1
                 if events > STATE_EVENTS_PER_STEP:
                     raise self._chatters()
-            if reached_ns < end_ns:
+                self._state.steps[0] = cautious_step(self._coupling.step_ns)
+            elif cautious_ns:
+                self._state.steps[0] = less_cautious(cautious_ns, self._coupling.step_ns)
+            if reached_ns < end_ns and (self._located or reached_ns == known_ns):
                 self._event(reached_ns, listen=False)
             start_ns = reached_ns
+
+    def _next_stop(self, start_ns: int, end_ns: int) -> int:
+        """The first time event of a component between the two times, or the second of them."""
+        stop_ns = end_ns
+        for event in self._state.next_event.tolist():
+            if to_seconds(start_ns) < event < to_seconds(end_ns):
+                event_ns = math.floor(event * NANOSECONDS_PER_SECOND + 0.5)
+                if start_ns < event_ns < stop_ns:
+                    stop_ns = event_ns
+        return stop_ns
 
     def _integrate_states(self, start_ns: int, stop_ns: int) -> int:
         """From one event to the next one known; the time reached, which is earlier if there is a state event."""
@@ -406,7 +425,7 @@ class PythonLoop:
             time = to_seconds(time_ns)
             return self._indicators_at(time, step(time - start))
 
-        before = self._indicators
+        before, self._located = self._indicators, True
         event_ns = first_crossing(*ends, before, self._beyond, indicators)
         changed = crossed(before, indicators(event_ns))
         owners = np.repeat(np.arange(len(self._components)), [c.n_indicators for c in self._components])

@@ -20,6 +20,11 @@ from network.units import NANOSECONDS_PER_SECOND, format_duration
 STATE_EVENTS_PER_STEP = 100
 """How many state events may follow each other within the length of one micro step."""
 
+FIRST_PART, GROWTH = 4096, 4
+"""After a state event an indicator may soon cross twice, which no step that spans both would notice: the next step is
+this part of a usual one, and each that follows as many times as long.
+"""
+
 
 def crossed(before: Floats, after: Floats) -> NDArray[np.bool_]:
     """Which indicators have changed their sign, zero counting as negative."""
@@ -70,6 +75,17 @@ def first_crossing(low: int, high: int, before: Floats, after: Floats, indicator
             weight_high = 0.5 * weight_high if raised else 1.0
             raised, lowered = True, False
     return high
+
+
+def cautious_step(step_ns: int) -> int:
+    """The step after a state event, in nanoseconds."""
+    return max(step_ns // FIRST_PART, 1)
+
+
+def less_cautious(cautious_ns: int, step_ns: int) -> int:
+    """The step after a cautious one at which nothing crossed; 0 for a usual one."""
+    longer = cautious_ns * GROWTH
+    return longer if longer < step_ns else 0
 
 
 def chattering(step_ns: int) -> str:

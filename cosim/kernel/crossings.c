@@ -4,6 +4,12 @@
 
 #include "kernel.h"
 
+int64_t cautious_step(int64_t step_ns) { return step_ns / FIRST_PART > 1 ? step_ns / FIRST_PART : 1; }
+
+int64_t less_cautious(int64_t cautious_ns, int64_t step_ns) {
+    return cautious_ns * GROWTH < step_ns ? cautious_ns * GROWTH : 0;
+}
+
 bool has_crossed(double before, double after) { return (before > 0.0) != (after > 0.0); }
 
 bool any_crossed(const Agent *agent, const double *before, const double *after) {

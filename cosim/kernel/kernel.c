@@ -42,15 +42,22 @@ static bool integrate_joint(Agent *agent, int64_t start_ns, int64_t end_ns) {
     int events = 0;
     int64_t since_ns = start_ns;
     while (start_ns < end_ns) {
-        int64_t stop_ns = next_stop(agent, start_ns, end_ns), reached_ns;
-        int32_t component = 0;
+        int64_t known_ns = next_stop(agent, start_ns, end_ns), stop_ns = known_ns, reached_ns;
+        int64_t cautious_ns = (int64_t)agent->steps[0];
+        if (cautious_ns && start_ns + cautious_ns < stop_ns) stop_ns = start_ns + cautious_ns;
+        int32_t component = -1;
         if (!integrate_states(agent, start_ns, stop_ns, &reached_ns, &component)) return false;
-        if (reached_ns < stop_ns) {
+        bool located = component >= 0;
+        if (located) {
             if (reached_ns - since_ns > agent->step_ns) events = 0, since_ns = reached_ns;
             if (++events > STATE_EVENTS_PER_STEP)
                 return fail(agent, (Failure){.reason = CHATTERING, .component = component});
+            agent->steps[0] = (double)cautious_step(agent->step_ns);
+        } else if (cautious_ns) {
+            agent->steps[0] = (double)less_cautious(cautious_ns, agent->step_ns);
         }
-        if (reached_ns < end_ns && !handle_event(agent, reached_ns, false)) return false;
+        bool event = located || reached_ns == known_ns;
+        if (reached_ns < end_ns && event && !handle_event(agent, reached_ns, false)) return false;
         start_ns = reached_ns;
     }
     return true;

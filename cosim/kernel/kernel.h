@@ -18,6 +18,8 @@
 #define EVENTS_PER_STEP 100           /* as in cosim/components/fmu/component.py */
 #define SHORTEST 1e-9                 /* likewise */
 #define STATE_EVENTS_PER_STEP 100     /* as in cosim/crossings.py */
+#define FIRST_PART 4096               /* likewise */
+#define GROWTH 4                      /* likewise */
 #define STAGES 7                      /* of the Dormand-Prince pair; Runge-Kutta 4 needs four */
 
 typedef enum { RK4, DORMAND_PRINCE, EULER } Integrator;
@@ -237,6 +239,9 @@ typedef struct {
 } Bracket;
 typedef bool (*Evaluate)(Agent *agent, const void *step, int64_t time_ns, double *indicators);
 
+/* After a state event: how long the next step is, and the one after that where nothing crosses (0: as usual). */
+int64_t cautious_step(int64_t step_ns);
+int64_t less_cautious(int64_t cautious_ns, int64_t step_ns);
 bool has_crossed(double before, double after);
 bool any_crossed(const Agent *agent, const double *before, const double *after);
 Bracket bracket(double start, double reached, int64_t start_ns, int64_t end_ns, bool final);

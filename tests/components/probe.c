@@ -56,6 +56,7 @@ enum {
     STEP_CRASHES,
     STEP_WANDERS,
     STEP_SCRIBBLES,
+    NARROW,
 };
 
 typedef struct {
@@ -201,10 +202,11 @@ static int update(Probe *p, bool *again, bool *stop, double *next_event) {
     return mode(p) == UPDATE_ERROR && p->slots[TIME] > 0.0 ? failed(p, ERROR) : OK;
 }
 
-/* Where the description has an event indicator, `x` loses 1 as soon as it is 2. */
+/* Where the description has an event indicator, `x` loses 1 as soon as it is 2; it may cross zero twice after that. */
 static int indicate(Probe *p, double z[], size_t n) {
     if (n != 1) return failed(p, ERROR);
     z[0] = mode(p) == CHATTERS ? 1.5 - p->slots[STATE] : 2.0 - p->slots[STATE];
+    if (mode(p) == NARROW) z[0] *= (p->slots[STATE] - 1.0005) * (p->slots[STATE] - 1.002);
     if (mode(p) == INDICATOR_NAN && p->slots[TIME] > 0.05) z[0] = NAN;
     return OK;
 }

@@ -23,7 +23,7 @@ FAILS = (
     *("update_error", "never_converges", "derivative_nan", "derivative_jumps"),
     *("derivative_hangs", "derivative_crashes", "indicator_nan", "chatters", "step_fixed", "early_forever"),
     *("step_discards_long", "step_pending", "step_pending_error", "step_pending_forever"),
-    *("step_prints", "step_floods", "step_hangs", "step_crashes", "step_wanders", "step_scribbles"),
+    *("step_prints", "step_floods", "step_hangs", "step_crashes", "step_wanders", "step_scribbles", "narrow"),
 )
 
 

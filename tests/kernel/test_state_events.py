@@ -93,6 +93,27 @@ def test_an_event_takes_effect_where_it_is(
     agent.end()
 
 
+@pytest.mark.parametrize("native", [True, False])
+@pytest.mark.parametrize("integrator", list(Integrator))
+def test_two_crossings_soon_after_an_event(indicated: dict[int, Path], integrator: Integrator, native: bool) -> None:
+    """36 us after each of its 13 falls the second probe's indicator is negative for 110 us, a small part of a step.
+
+    As that of a ball which bounces less and less: whoever missed a bounce would let it fall through the floor.
+    """
+    events = []
+    for mode in ("nothing", "narrow"):
+        plan = probe_pair([indicated[3]] * 2, [], replace(JOINT, integrator=integrator), ("nothing", mode))
+        plan = replace(plan, components=tuple(start(plan, c, (3.7, 0.0)) for c in (0, 1)))
+        agent = LiveAgent(plan, native=native, layout=MessageLayout((), ()))
+        agent.python.initialise(0, 10 * T_NS)
+        for tick in range(10):
+            agent.advance(tick)
+        assert agent.value(1, "x")[0] == pytest.approx(1.0 + 13.7 % 1.0, abs=1e-7)
+        events.append(int(agent.value(1, "events")[0]))
+        agent.end()
+    assert events[1] - events[0] == 2 * 13
+
+
 def start(plan: AgentPlan, component: int, vector: tuple[float, float]) -> ComponentPlan:
     own = plan.components[component]
     return replace(own, start={**own.start, "vector_in": vector})
