@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 from cosim.components.component import Component, Floats
 from cosim.coupling import PythonLoop
-from cosim.errors import ComponentError, RunError
+from cosim.errors import ComponentError, EndRequestedError, RunEndedError, RunError
 from cosim.mailbox import Updates
 from cosim.memory import LoopState
 from cosim.plan import AgentPlan
@@ -57,7 +57,7 @@ class Agent:
         try:
             self._loop.initialise(0, stop_ns)
         except ComponentError as error:
-            raise self.failure(error) from error
+            raise self.failure(error, begun=False) from error
 
     def take(self, tick: int, taken: Mapping[int, Floats]) -> None:
         """Let values from outside take effect, at an event of its own; inputs that are not among them keep theirs.
@@ -88,7 +88,7 @@ class Agent:
             index: of the agent among those whose mailboxes change.
 
         Raises:
-            RunError: a component failed.
+            RunError: a component failed, or (`RunEndedError`) asked for the end.
         """
         try:
             self._loop.advance(tick * self._period_ns, (tick + 1) * self._period_ns, updates, index)
@@ -104,10 +104,11 @@ class Agent:
         for component in self.components:
             component.terminate()
 
-    def failure(self, error: ComponentError) -> RunError:
-        """What a component's failure means for the run."""
+    def failure(self, error: ComponentError, *, begun: bool = True) -> RunError:
+        """What a component's failure means for the run; its wish to end is none once that has begun."""
         time = float(self.state.time[0])
-        return RunError(self.plan.name, error.component, time, error.message + self._hint(error), error.log)
+        kind = RunEndedError if begun and isinstance(error, EndRequestedError) else RunError
+        return kind(self.plan.name, error.component, time, error.message + self._hint(error), error.log)
 
     def _hint(self, error: ComponentError) -> str:
         """Numbers that are not finite: say which step would tell an unstable scenario from too long a step."""

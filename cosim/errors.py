@@ -94,6 +94,10 @@ class DiscardedStepError(ComponentError):
     """A component could not make a whole step (FMI: Discard), and is still usable."""
 
 
+class EndRequestedError(ComponentError):
+    """A component asks for the end of the simulation (FMI: `terminateSimulation`), which is no failure."""
+
+
 class RunError(CosimError):
     """A run failed: which agent, which component, at which simulated time, and the component's own last log line."""
 
@@ -107,6 +111,10 @@ class RunError(CosimError):
         self.log = log
         text = f"agent {agent}, component {component}, at t = {time:.9g} s: {message}"
         super().__init__(text + _last_lines(log))
+
+
+class RunEndedError(RunError):
+    """A component asked for the end of a run that had begun; the tick before is the last one."""
 
 
 def _last_lines(log: str | None) -> str:

@@ -9,13 +9,14 @@ of the whole run, of all agents together, in what is recorded.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cosim.components.component import Floats
-from cosim.errors import CosimError
+from cosim.errors import CosimError, RunEndedError
 from cosim.inline import run
 from cosim.plan import CouplingPlan, Plan
 from cosim.recording.columns import arriving_names
@@ -90,10 +91,11 @@ class Estimate:
             CosimError: a component failed.
             Interrupted: `stop_requested` said so.
         """
-        run(_halved(self._plan), [_Keeper(self._finer, self._stride)], stop_requested, watch=watch)
+        with suppress(RunEndedError):  # as many ticks as there are will be compared
+            run(_halved(self._plan), [_Keeper(self._finer, self._stride)], stop_requested, watch=watch)
 
     def tick(self, tick: int, row: Floats) -> None:
-        if tick % self._stride:
+        if tick % self._stride or tick // self._stride >= len(self._finer):
             return
         difference = np.abs(row - self._finer[tick // self._stride])
         larger = difference > self._most

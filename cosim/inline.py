@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from cosim.agents import Agents
 from cosim.components.component import Floats
-from cosim.errors import NetworkError
+from cosim.errors import NetworkError, RunEndedError
 from cosim.logs import NO_LOGS, Logs
 from cosim.master import Emulate, Master
 from cosim.pacing import Pacer
@@ -113,7 +113,7 @@ def run(  # noqa: PLR0917
         watch: looks on while components are called.
 
     Raises:
-        RunError: a component failed.
+        RunError: a component failed, or (`RunEndedError`) asked for the end.
         Interrupted: `stop_requested` said so.
         OverrunError: the pacer said so.
         NetworkError: a channel of the user's own failed.
@@ -164,8 +164,15 @@ def _play(  # noqa: PLR0917
         for observer in observers:
             observer.fates(exchange.fates)
         order = master.exchanged(exchange)
-        with at_components:
-            agents.advance(order.tick, order.mail, taken)
-    in_flight = emulator.finish()
+        try:
+            with at_components:
+                agents.advance(order.tick, order.mail, taken)
+        except RunEndedError:
+            _tell_of_flight(observers, emulator.finish())
+            raise
+    _tell_of_flight(observers, emulator.finish())
+
+
+def _tell_of_flight(observers: Sequence[Observer], in_flight: Fates) -> None:
     for observer in observers:
         observer.fates(in_flight)

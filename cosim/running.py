@@ -17,7 +17,16 @@ import numpy as np
 
 from cosim.bridge import Bridge, open_bridge, recorded
 from cosim.components.component import Floats
-from cosim.errors import ClusterError, ConfigError, CosimError, NetworkError, OverrunError, Problem, RunError
+from cosim.errors import (
+    ClusterError,
+    ConfigError,
+    CosimError,
+    NetworkError,
+    OverrunError,
+    Problem,
+    RunEndedError,
+    RunError,
+)
 from cosim.estimation import Estimate
 from cosim.inline import Interrupted, Observer, Take, run
 from cosim.logs import LOG_FOLDER, Logs
@@ -110,10 +119,13 @@ def record(args: argparse.Namespace, plan: Plan, way: Way, *, here: bool = False
         try:
             with _accounted(pacer, recorder):
                 observers: list[Observer] = [recorder, *([] if estimate is None else [estimate]), summary, progress]
-                if bridge is None:
-                    play(observers, stop)
-                else:
-                    play([recorder, bridge, *observers[1:]], stop, take=recorded(bridge, recorder.external))
+                try:
+                    if bridge is None:
+                        play(observers, stop)
+                    else:
+                        play([recorder, bridge, *observers[1:]], stop, take=recorded(bridge, recorder.external))
+                except RunEndedError as ended:
+                    summary.ended(ended)
             if estimate is not None:
                 recorder.add({"coupling_error": estimate.account()})
         except Interrupted as interrupted:
@@ -270,13 +282,20 @@ class _Summary:
         self._accounts: Sequence[StepAccount] = []
         self._pacer = pacer
         self._started = time.perf_counter()
-        self._row: Floats = np.empty(0)
+        self._tick, self._row = 0, np.empty(0)
+        self._ended: RunEndedError | None = None
 
-    def tick(self, tick: int, row: Floats) -> None:  # noqa: ARG002
-        self._row = row
+    def tick(self, tick: int, row: Floats) -> None:
+        self._tick, self._row = tick, row
 
     def fates(self, fates: Fates) -> None:
         """Not needed."""
+
+    def ended(self, ended: RunEndedError) -> None:
+        """A component asked for the end."""
+        self._ended = ended
+        who = {"agent": ended.agent, "component": ended.component}
+        self._recorder.add({"ended": {**who, "time_s": ended.time, "message": ended.message}})
 
     def steps(self, accounts: Sequence[StepAccount]) -> None:
         self._accounts = accounts
@@ -285,8 +304,13 @@ class _Summary:
     def show(self, folder: Path, digest: str, bridge: Bridge | None, estimate: Estimate | None) -> None:
         """Say what was done, where it is, and how far the agents are from agreeing."""
         wall = time.perf_counter() - self._started
-        simulated = self._plan.ticks * self._plan.period
-        print(f"{self._plan.name}: {simulated:g} s simulated in {wall:.2f} s ({simulated / wall:.0f} x real time)")
+        simulated, planned = (n * self._plan.period for n in (self._tick, self._plan.ticks))
+        of_planned = f" of {planned:g} s" if self._ended is not None else ""
+        pace = f"{simulated / wall:.0f} x real time"
+        print(f"{self._plan.name}: {simulated:g} s{of_planned} simulated in {wall:.2f} s ({pace})")
+        if self._ended is not None:
+            who = f"component {self._ended.component} of agent {self._ended.agent}"
+            print(f"  ended                    at t = {self._ended.time:.9g} s by {who}, which asked for it")
         disagreement = Disagreement(self._plan).of(self._row)
         if disagreement is not None:
             print(f"  disagreement at the end  {disagreement:.3g} (largest |p_1 - p_i|)")

@@ -16,7 +16,7 @@ import numpy as np
 from cosim.components.component import Description, Floats, Interface, Variable
 from cosim.components.python import PythonInstance, describe_python
 from cosim.components.units import BASE
-from cosim.errors import ComponentError, DiscardedStepError
+from cosim.errors import ComponentError, DiscardedStepError, EndRequestedError
 
 SOLVER_STEP = 1e-3
 """Co-Simulation of a component with derivatives: the longest step of the Runge-Kutta method, in seconds."""
@@ -54,7 +54,7 @@ class Exported:
         """What follows from start values is final."""
         self._own.exit_initialization()
 
-    def do_step(self, current_time: float, step_size: float) -> bool:
+    def do_step(self, current_time: float, step_size: float) -> Any:
         """Co-Simulation."""
         try:
             if self._own.n_states and Interface.CO_SIMULATION not in self._described.interfaces:
@@ -64,6 +64,10 @@ class Exported:
         except DiscardedStepError as error:
             self._say(error.message)
             return False
+        except EndRequestedError:
+            from pythonfmu3.fmi3slave import Fmi3StepResult
+
+            return Fmi3StepResult(terminateSimulation=True)
         self.time = current_time + step_size
         return True
 
@@ -120,7 +124,10 @@ class Exported:
         """An event of the component."""
         from pythonfmu3.modelexchange import Fmi3UpdateDiscreteStatesResult
 
-        event = self._own.update_discrete_states()
+        try:
+            event = self._own.update_discrete_states()
+        except EndRequestedError:
+            return Fmi3UpdateDiscreteStatesResult(terminateSimulation=True)
         return Fmi3UpdateDiscreteStatesResult(
             valuesOfContinuousStatesChanged=True,
             nextEventTimeDefined=event is not None,

@@ -26,7 +26,7 @@ from cosim.components.component import Component, Description, Floats, Interface
 from cosim.components.saving import attributes_of, copied, from_bytes, put_back, to_bytes
 from cosim.components.start_values import start_values
 from cosim.components.units import measure
-from cosim.errors import ComponentError, ConfigError, DiscardedStepError, Problem, suggest
+from cosim.errors import ComponentError, ConfigError, DiscardedStepError, EndRequestedError, Problem, suggest
 
 _ARRAY_TYPES: dict[str, Any] = {
     "Float64": np.float64,
@@ -173,6 +173,10 @@ class Structural(Parameter):
 
 class Discard(Exception):  # noqa: N818 - FMI's name
     """Raise it in `step`: this step cannot be made, but shorter ones may (FMI: Discard)."""
+
+
+class EndSimulation(Exception):  # noqa: N818 - it is a request, not an error
+    """Raise it in `step` or `event`: the run shall end here, in good order (FMI: `terminateSimulation`)."""
 
 
 class PythonComponent:
@@ -411,6 +415,9 @@ class PythonInstance(Component):
             return method(*arguments)
         except Discard as error:
             raise DiscardedStepError(self.name, f"discarded the step{f': {error}' if str(error) else ''}") from error
+        except EndSimulation as error:
+            why = f": {error}" if str(error) else ""
+            raise EndRequestedError(self.name, f"asks to end the simulation{why}") from error
         except (Exception, SystemExit) as error:
             raise ComponentError(self.name, _say(error)) from error
 

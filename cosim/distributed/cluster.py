@@ -83,7 +83,7 @@ def run(  # noqa: PLR0917
         folder: the run folder, for the emulator to bring in order if this process is killed.
 
     Raises:
-        RunError: a component failed.
+        RunError: a component failed, or (`RunEndedError`) asked for the end.
         ClusterError: a process was lost, or hangs.
         Interrupted: `stop_requested` said so.
         OverrunError: the pacer said so.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.errors import ClusterError, ConfigError, CosimError, Location, Problem, RunError, Severity
+from cosim.errors import ClusterError, ConfigError, CosimError, Location, Problem, RunEndedError, RunError, Severity
 from network.codec import decode_object, encode_object
 from network.transport import Envelope, Part, WireError
 
@@ -57,7 +57,7 @@ class Failure:
 def _tree(error: CosimError) -> dict[str, Any]:
     if isinstance(error, RunError):
         return {
-            "kind": "run",
+            "kind": "end" if isinstance(error, RunEndedError) else "run",
             "agent": error.agent,
             "component": error.component,
             "time": error.time,
@@ -78,8 +78,9 @@ def _tree(error: CosimError) -> dict[str, Any]:
 
 
 def _error(tree: dict[str, Any], sender: str) -> CosimError:
-    if tree["kind"] == "run":
-        return RunError(tree["agent"], tree["component"], float(tree["time"]), tree["message"], tree["log"])
+    if tree["kind"] in ("run", "end"):
+        kind = RunEndedError if tree["kind"] == "end" else RunError
+        return kind(tree["agent"], tree["component"], float(tree["time"]), tree["message"], tree["log"])
     if tree["kind"] == "config":
         return ConfigError(
             Problem(

@@ -86,6 +86,9 @@ def _take_part(endpoint: Witness, claim: Claim, folders: Sequence[Path], store: 
         serve(endpoint, planned=planned, logs=logs)
     if folder.exists():
         tell(f"what its components logged is in {folder}")
+    if endpoint.regular:
+        tell(f"the run is over{endpoint.reason}")
+        return
     if endpoint.failure is not None:
         raise endpoint.failure
     if not endpoint.done:
@@ -152,6 +155,7 @@ class Witness:
         done: this process said that the last tick is behind it.
         failure: that it reported.
         reason: that the orchestrator gave with its farewell, for the end of a sentence.
+        regular: whether an agent had asked for the end.
     """
 
     def __init__(self, endpoint: Endpoint) -> None:
@@ -159,6 +163,7 @@ class Witness:
         self.done = False
         self.failure: CosimError | None = None
         self.reason = ""
+        self.regular = False
         self._endpoint = endpoint
 
     def send(self, receiver: str, kind: Kind, tick: int, *parts: Part) -> None:
@@ -173,6 +178,7 @@ class Witness:
         envelope = self._endpoint.receive(timeout)
         if envelope.kind is Kind.BYE:
             self.reason = _reason(envelope)
+            self.regular = len(envelope.body) > 0 and decode_object(envelope).get("regular") is True
         return envelope
 
     def close(self) -> None:

@@ -17,14 +17,15 @@ from cosim.distributed.incoming import FateLog, Rows
 from cosim.distributed.replacement import History, Moment
 from cosim.distributed.standing import Standing, carried
 from cosim.distributed.survey import Lost, Survey
-from cosim.errors import ClusterError, CosimError
+from cosim.errors import ClusterError, CosimError, RunEndedError
 from cosim.inline import Observer, Take, tell, tell_of_steps
 from cosim.master import Finish, Master
 from cosim.plan import Plan
 from cosim.step_control import StepAccount
 from network import codec
 from network.codec import Block, encode_object
-from network.messages import Exchange, Floats, Ints, Mail
+from network.emulator import Emulator
+from network.messages import Exchange, Fates, Floats, Ints, Mail
 from network.transport import Envelope, Kind, WireError
 
 # Samples and mail go from the workers to the emulator and back, without passing through here.
@@ -163,9 +164,9 @@ class Orchestration:
         self._employed += names
         return [Message(name, Kind.SCENARIO, 0, job) for name in names]
 
-    def end(self, why: str = "") -> list[Message]:
-        """Farewell to everybody; `why` the run ends before its end."""
-        body = encode_object({"message": why}) if why else ()
+    def end(self, why: str = "", *, regular: bool = False) -> list[Message]:
+        """Farewell to everybody; `why` the run ends before its end, and whether an agent asked for that."""
+        body = encode_object({"message": why, "regular": regular}) if why else ()
         return [Message(name, Kind.BYE, 0, body) for name in self.processes]
 
     def handle(self, envelope: Envelope) -> list[Message]:
@@ -345,6 +346,10 @@ class Orchestration:
         all_before = self._master.tick > failure.tick and not self._rows_done
         earlier = (carrier for carrier in self._carriers.values() if carrier.agents[0] < failure.agent)
         if all_before and all(carrier.failure or carrier.rows for carrier in earlier):
+            if isinstance(failure.error, RunEndedError):
+                in_flight = _in_flight(self._plan, self._master.tick)
+                for observer in self._observers:
+                    observer.fates(in_flight)
             raise failure.error
 
     def _with_tick(self, failure: Failure) -> CosimError:
@@ -454,3 +459,12 @@ class Orchestration:
             samples={name: carrier.samples for name, carrier in self._carriers.items()},
             idle=self._survey.answered,
         )
+
+
+def _in_flight(plan: Plan, stop: int) -> Fates:
+    """The messages under way at a tick that the emulator may have passed: all are routed once more."""
+    emulator = Emulator(plan.links, plan.channels, plan.link_channel, plan.layout, plan.seed, plan.period_ns)
+    nothing = np.zeros((len(plan.agents), plan.layout.width))
+    for tick in range(stop):
+        emulator.emulate(tick, nothing)
+    return emulator.finish()

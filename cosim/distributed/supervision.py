@@ -16,7 +16,7 @@ from cosim.distributed.processes import Processes
 from cosim.distributed.replacement import Moment, when
 from cosim.distributed.serving import send
 from cosim.distributed.standing import carried, waits
-from cosim.errors import ClusterError, CosimError
+from cosim.errors import ClusterError, CosimError, RunEndedError
 from cosim.inline import Interrupted
 from cosim.pacing import Pacer
 from cosim.plan import Plan
@@ -83,7 +83,7 @@ class Supervisor:
 
     def run(self) -> None:
         """Until the run is over; see `cosim.distributed.cluster.run`."""
-        farewell, why = _FAULT_FAREWELL_SECONDS, "it was stopped"
+        farewell, why, regular = _FAULT_FAREWELL_SECONDS, "it was stopped", False
         try:
             self._await_joined()
             send(self._hub, self._orchestration.begin())
@@ -94,11 +94,14 @@ class Supervisor:
             sent = carried(self._plan, error.sender, self._orchestration.workers)
             text = f"{error}; tick {self._orchestration.recorded} is the last one recorded\n  {sent} sent it"
             raise ClusterError(text) from error
+        except RunEndedError as ended:
+            farewell, why, regular = _FAREWELL_SECONDS, str(ended).partition("\n")[0], True
+            raise
         except CosimError as error:
             why = str(error).partition("\n")[0]
             raise
         finally:
-            self._dismiss(farewell, why)
+            self._dismiss(farewell, why, regular=regular)
 
     def _await_joined(self) -> None:
         deadline = time.monotonic() + self._start_deadline
@@ -346,11 +349,11 @@ class Supervisor:
                     return
                 send(self._hub, orchestration.ask())
 
-    def _dismiss(self, seconds: float, why: str) -> None:
+    def _dismiss(self, seconds: float, why: str, *, regular: bool) -> None:
         """Send everybody home, and wait for them; the emulator, through which all may be connected, goes last."""
         if self._processes.condition(EMULATOR) is not None:  # nobody hears it
             seconds = 0.0
-        farewells = self._orchestration.end(why)
+        farewells = self._orchestration.end(why, regular=regular)
         for last in (False, True):
             for message in farewells:
                 if (message.receiver == EMULATOR) == last:

@@ -33,6 +33,7 @@ def outcome(results: Results) -> Rows:
         *_coupling_error(manifest),
         *_steps(manifest),
         ("Simulated", f"{manifest['simulated_s']:g} s" + ("" if whole else f" of {_planned(results):g} s")),
+        *_ended(manifest),
         (
             "Ticks",
             f"{ticks['done']}" + ("" if whole else f" of {ticks['planned']}") + f", T = {results.period_ns / 1e9:g} s",
@@ -42,6 +43,15 @@ def outcome(results: Results) -> Rows:
         ("Agents and edges", f"{len(results.agents)} and {len(results.links)}"),
         ("Started", manifest["created"].replace("T", " ").replace("Z", " UTC")),
     ]
+
+
+def _ended(manifest: Mapping[str, Any]) -> Rows:
+    """Who asked for the end, if somebody did."""
+    ended = manifest.get("ended")
+    if ended is None:
+        return []
+    who = f"component {ended['component']} of agent {ended['agent']}"
+    return [("Ended", f"at t = {ended['time_s']:.9g} s by {who}, which asked for it")]
 
 
 def _planned(results: Results) -> float:

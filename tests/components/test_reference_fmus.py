@@ -24,7 +24,7 @@ from scipy.integrate import solve_ivp
 
 from cosim import inline
 from cosim.components.fmu import describe
-from cosim.errors import ConfigError, RunError
+from cosim.errors import ConfigError, RunEndedError
 from cosim.fmu_commands import stub
 from cosim.plan import Plan
 from cosim.planning import load
@@ -235,7 +235,7 @@ def test_roberts_is_described() -> None:
 @pytest.mark.parametrize("coupling", [{"method": "gauss-seidel", "step": "200 ms"}, {"method": "joint"}], ids=str)
 def test_stair_asks_for_the_end(version: str, coupling: dict[str, str]) -> None:
     """It terminates the simulation when it counts 10, at 9 s."""
-    with pytest.raises(RunError, match=r"at t = (8\.8|9) s: asks to end the simulation"):
+    with pytest.raises(RunEndedError, match=r"at t = (8\.8|9) s: asks to end the simulation"):
         play(scenario("Stair", version, coupling, until=10.0))
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from time import sleep
 from typing import Any
 
-from cosim.components.python import Input, Output, Parameter, PythonComponent, State, Structural
+from cosim.components.python import EndSimulation, Input, Output, Parameter, PythonComponent, State, Structural
 from network.zenoh import ZenohEndpoint
 
 
@@ -46,6 +46,13 @@ class Failing(Node):
 
     def fault(self, time: float) -> None:
         raise ValueError("the gearbox is broken")
+
+
+class Ending(Node):
+    """Has enough, for no bad reason."""
+
+    def fault(self, time: float) -> None:
+        raise EndSimulation("the goal is reached")
 
 
 class Slow(Node):

@@ -80,6 +80,22 @@ def test_any_order_gives_the_digest_of_the_in_process_run(order: str, start: Sta
     assert not (tmp_path / "hub").exists()
 
 
+def test_a_run_that_an_agent_ends_is_over_for_everybody(start: Start, tmp_path: Path) -> None:
+    (tmp_path / "net.yaml").write_text(scenario(4, ring(4), faults={3: ("Ending", 0.85)}))
+    where = f"unixsock-stream/{tmp_path}/hub"
+    serve = start("s", "serve", str(tmp_path / "net.yaml"), "--listen", where, "--out", "out", "--no-report")
+    others = [start("e", "emulator", "--connect", where)]
+    others += [start(f"w{i}", "worker", "--connect", where, "--agents", i) for i in ("1..2", "3..4")]
+    assert "by component node of agent 3, which asked for it" in serve.succeed()
+    for other in others:
+        code, _, said = other.end()
+        assert code == 0
+        assert re.search(r"the run is over: agent 3, component node, at t = 0\.8\d* s: asks to end the simul", said), (
+            said
+        )
+    assert digest(tmp_path / "s" / "out") == plain_digest(tmp_path, str(tmp_path / "net.yaml"))
+
+
 def test_the_commands_that_serve_prints_are_those_to_type(start: Start, tmp_path: Path) -> None:
     text = scenario(5, ring(5)) + "workers: {lab-a: '5, 1..2', lab-b: 3..4}\n"
     (tmp_path / "net.yaml").write_text(text)

@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cosim.distributed.assignment import Share, share_of
-from cosim.errors import RunError
+from cosim.errors import RunEndedError, RunError
 from cosim.planning import load
+from network.messages import Fate
 from network.transport import WireError
 from tests.distributed.loopback import Loopback
 from tests.distributed.networks import Record, in_process, planned, ring, scenario, scenarios
@@ -89,6 +90,36 @@ def test_of_several_failures_it_is_the_first_that_ends_the_run(
     assert str(caught.value) == str(failure)
     assert "the gearbox is broken" in str(failure)
     assert record == expected
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    agents=st.dictionaries(
+        st.integers(1, 5), st.tuples(st.sampled_from(["Ending", "Ending", "Failing"]), st.integers(0, 9)), min_size=1
+    ),
+    channel=st.sampled_from(["ideal", "slack", "late", "window"]),
+    owners=OWNERS,
+    seed=st.integers(0, 2**31),
+)
+def test_a_regular_end_is_the_same_everywhere_and_says_what_is_under_way(
+    agents: dict[int, tuple[str, int]], channel: str, owners: Sequence[str], seed: int
+) -> None:
+    faults = {agent: (kind, tick / 10 + 0.05) for agent, (kind, tick) in agents.items()}
+    first = min((tick, agent) for agent, (_, tick) in agents.items())
+    plan = planned(scenario(5, ring(5), channel, faults=faults))
+    expected, ended = in_process(plan)
+    regular = agents[first[1]][0] == "Ending"
+    assert isinstance(ended, RunEndedError) is regular
+    record = Record()
+    with pytest.raises(RunError) as caught:
+        Loopback(plan, shares(owners, 5), [record], random.Random(seed)).run()
+    assert (type(caught.value), str(caught.value)) == (type(ended), str(ended))
+    assert record == expected
+    assert len(expected.ticks) == first[0] + 1
+    under_way = expected.calls[-2:] == ["fates", "fates"]
+    assert under_way is regular
+    if regular and channel == "late":  # nothing arrives in the tick in which it leaves
+        assert set(expected.fates_of[-1]["fate"]) == {Fate.IN_FLIGHT}
 
 
 def test_failure_before_the_first_tick() -> None:

@@ -12,6 +12,7 @@ from fmpy import read_model_description
 
 from cosim.cli import main
 from cosim.conformance import Verdict, check
+from cosim.errors import RunEndedError
 from cosim.planning import plan
 from cosim.scenario.reading import read_scenario
 from tests.components.misbehaving import cosim
@@ -20,7 +21,8 @@ from tests.distributed.networks import Record, in_process
 MODULE = '''
 import sys
 
-from cosim.components.python import Discard, Input, Output, Parameter, PythonComponent, State, Structural
+from cosim.components.python import Discard, EndSimulation, Input, Output, Parameter
+from cosim.components.python import PythonComponent, State, Structural
 
 
 class Motor(PythonComponent):
@@ -95,6 +97,24 @@ class Device(Stepping):
     save = None
 
 
+class Ending(Stepping):
+    def step(self, time, step):
+        self.y = time
+        if time > 0.25:
+            raise EndSimulation("enough")
+
+
+class Bursting(PythonComponent):
+    x = State(1.0)
+
+    def derivatives(self, time):
+        return {"x": self.x}
+
+    def event(self, time):
+        if time > 0.25:
+            raise EndSimulation("enough")
+
+
 class Hasty(Stepping):
     def step(self, time, step):
         self.y = self.y + step
@@ -131,7 +151,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.syspath_prepend(path)
         assert main(["fmu", "export", "driven_motors:Motor"]) == 0
         assert main(["fmu", "export", "driven_motors:Follow", "--size", "count=1", "-o", "following.fmu"]) == 0
-        for name in ("Stepping", "Counting", "Tied", "Device", "Hasty", "Talking"):
+        for name in ("Stepping", "Counting", "Tied", "Device", "Hasty", "Talking", "Ending", "Bursting"):
             assert main(["fmu", "export", f"driven_motors:{name}"]) == 0
     return path
 
@@ -274,6 +294,20 @@ def test_another_tool_carries_a_state_from_one_instance_to_another(folder: Path,
 def test_what_an_fmu_says_that_it_can(folder: Path, name: str, can: tuple[bool, bool]) -> None:
     co_simulation = read_model_description(folder / f"{name}.fmu").coSimulation
     assert (co_simulation.canGetAndSetFMUstate, co_simulation.canSerializeFMUstate) == can
+
+
+@pytest.mark.parametrize("name", ["Ending", "Bursting"])
+def test_a_request_to_end(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.syspath_prepend(folder)
+    seen = []
+    for part in (f'python: "driven_motors:{name}"', f"fmu: ./{name}.fmu"):
+        text = f"period: 100 ms\nduration: 1 s\nagents:\n  1:\n    components: {{part: {{{part}}}}}\n"
+        (folder / "ending.yaml").write_text(text)
+        record, error = in_process(plan(read_scenario(folder / "ending.yaml")).plan)
+        assert isinstance(error, RunEndedError)
+        seen.append((record, error.agent, error.component, error.time))
+    assert seen[0] == seen[1]
+    assert len(seen[0][0].ticks) == 3
 
 
 @pytest.mark.parametrize("coupling", ["step: 10 ms, retries: 2", "tolerance: 1e-3"])

@@ -28,7 +28,7 @@ from cosim.components.fmu.library import (
 from cosim.components.fmu.values import FMI2_TYPES, FMI3_TYPES, Buffer
 from cosim.components.fmu.variables import fmi3_shape
 from cosim.components.start_values import start_values
-from cosim.errors import ComponentError, ConfigError, DiscardedStepError
+from cosim.errors import ComponentError, ConfigError, DiscardedStepError, EndRequestedError
 from cosim.logs import Sink, discard
 
 DISCRETE_STATE_ITERATIONS = 100
@@ -134,9 +134,9 @@ class FmuComponent(Component):
         """What can be said of a step that was discarded."""
         return ""
 
-    def stop_requested(self) -> ComponentError:
-        """The error for an FMU that sets `terminateSimulation`."""
-        return ComponentError(self.name, "asks to end the simulation (terminateSimulation)", self.log.last)
+    def stop_requested(self) -> EndRequestedError:
+        """What an FMU that sets `terminateSimulation` raises."""
+        return EndRequestedError(self.name, "asks to end the simulation (terminateSimulation)", self.log.last)
 
     def early_return(self, reached: float) -> ComponentError:
         """The error for an FMI 3.0 step cut short, which `earlyReturnAllowed = false` forbids."""

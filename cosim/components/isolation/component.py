@@ -19,7 +19,7 @@ from cosim.components.isolation.calls import (
 )
 from cosim.components.isolation.process import HostProcess
 from cosim.components.presented import own_starts
-from cosim.errors import ComponentError, ConfigError, Problem
+from cosim.errors import ComponentError, ConfigError, EndRequestedError, Problem
 from cosim.logs import Sink
 from cosim.plan import ComponentPlan
 from network.units import to_seconds
@@ -248,7 +248,8 @@ class IsolatedComponent(Component):
         if tree.get("file"):
             return ConfigError([Problem(f"component {self.name}: {tree['message']}")])
         log = tree.get("log")
-        return ComponentError(self.name, str(tree["message"]), None if log is None else str(log))
+        kind = EndRequestedError if tree.get("ends") else ComponentError
+        return kind(self.name, str(tree["message"]), None if log is None else str(log))
 
     def _gone(self) -> ComponentError:
         self._failed = True

@@ -31,7 +31,7 @@ from cosim.components.isolation.calls import (
     calls,
     result,
 )
-from cosim.errors import ComponentError, ConfigError, CosimError
+from cosim.errors import ComponentError, ConfigError, CosimError, EndRequestedError
 from cosim.native_output import print_by_lines
 
 _NOTHING = np.empty(0)
@@ -174,7 +174,8 @@ def _reply(host: Host, count: int, body: bytes) -> tuple[int, bytes]:
     try:
         return host.carry_out(count, body)
     except ComponentError as error:
-        tree: dict[str, Any] = {"message": error.message, "log": error.log}
+        ends = isinstance(error, EndRequestedError)
+        tree: dict[str, Any] = {"message": error.message, "log": error.log, "ends": ends}
     except ConfigError as error:
         tree = {"message": "; ".join(problem.message for problem in error.problems), "log": host.log, "file": True}
     except (CosimError, Exception) as error:
