@@ -9,6 +9,7 @@ from typing import Any
 from cosim.components.component import Value, Variable
 from cosim.errors import Location, suggest
 from cosim.plan import AnalysisPlan, ComponentPlan, Port
+from cosim.planning.ports import numbers
 from cosim.planning.problems import Problems
 from cosim.planning.starts import NUMERIC
 from cosim.scenario.reading import Scenario
@@ -74,7 +75,7 @@ def _check_reference(
 ) -> None:
     sizes = {variable.size for _, variable in _variables(agents, velocity)} if velocity else set()
     if sizes and len(reference) not in sizes:
-        problems.error(f"{velocity!r} has {min(sizes)} numbers, the reference velocity {len(reference)}", where)
+        problems.error(f"{velocity!r} has {numbers(min(sizes))}, the reference velocity {len(reference)}", where)
 
 
 def _variables(agents: Iterable[Member], reference: str) -> list[tuple[Member, Variable]]:
