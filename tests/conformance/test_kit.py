@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -27,6 +29,22 @@ def test_shipped_fmus(name: str) -> None:
         *("description", "initialise", "start values", "run", "determinism", "independence", "reset"),
         *("save and restore", "step splitting", "evaluation", "dependencies", "bad values"),
     }
+
+
+def test_initial_unknowns_are_a_note(tmp_path: Path) -> None:
+    """Two of three FMUs have them wrong, whatever tool they are from, and nothing here depends on them."""
+    path = tmp_path / "arm.fmu"
+    with zipfile.ZipFile(fmus.path("TwoLinkArm.fmi2")) as whole, zipfile.ZipFile(path, "w") as archive:
+        for member in whole.infolist():
+            content = whole.read(member)
+            if member.filename == "modelDescription.xml":
+                content = re.sub(rb"<InitialUnknowns>.*</InitialUnknowns>", b"", content, flags=re.DOTALL)
+            archive.writestr(member, content)
+    report = check(path)
+    report.require()
+    (found,) = [finding for finding in report.findings if finding.check == "description"]
+    assert found.verdict is Verdict.NOTE
+    assert "Nothing here depends on that" in found.text
 
 
 @pytest.mark.parametrize("cls", [components.Lag, components.Ramp, components.Counting])
