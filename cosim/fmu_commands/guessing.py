@@ -9,9 +9,12 @@ from dataclasses import dataclass
 from cosim.components.component import Description, Variable
 from cosim.components.units import BASE, Measure, measure
 
-_POSITION = re.compile(r"(?i)[qpxyzs]\d*|(pos|phi|theta|alpha|beta|angle)\w*|\w*(position|angle)\w*")
+_POSITION = re.compile(r"[qpxyzs]\d*|(?i:(pos|phi|theta|alpha|beta|angle)\w*|\w*(position|angle)\w*)")
+_BESIDE_X = re.compile(r"(?P<before>|.*\.)[yz](?P<number>\d*)")
+"""Coordinates; alone, `y` is what blocks of Modelica call whatever they give."""
 _VELOCITY = re.compile(
-    r"(?i)qd\d*|d[qx]\d*|[vw]\d*|xd\d*|(vel|omega)\w*|(phi|theta)d\d*|der\(.*\)|\w+_d(ot)?\d*|\w*(velocity|speed)\w*"
+    r"(?i)qd\d*|d[qx]\d*|[vw]\d*|xd\d*|(vel|omega)\w*|(phi|theta)d\d*|der\(.*\)|d_\w+|\w+_d(ot)?\d*|"
+    r"\w*(velocity|speed)\w*"
 )
 _FORCE = re.compile(r"(?i)u\d*|f\d*|tau\w*|torque\w*|force\w*|\w*(torque|force)\w*")
 _POSITION_UNITS, _VELOCITY_UNITS, _FORCE_UNITS = ("m", "rad"), ("m/s", "rad/s"), ("N", "N.m")
@@ -40,6 +43,8 @@ def guess(description: Description) -> Guess:
     for causalities in (("output",), ("output", "local")):
         readable = [v for v in variables.values() if v.causality in causalities and v.dtype.startswith("Float")]
         position, velocity = _motion(readable, variables)
+        if "local" in causalities and not velocity:
+            position = []  # among hundreds of variables, names alone say nothing
         if position:
             break
     return Guess(tuple(force), tuple(position), tuple(velocity))
@@ -51,7 +56,7 @@ def _motion(readable: Sequence[Variable], variables: Mapping[str, Variable]) -> 
     for variable in variables.values():
         if variable.derivative_of is not None:
             rates.setdefault(variable.derivative_of, []).append(variable)
-    candidates = [v for v in readable if _is_position(v)]
+    candidates = [v for v in readable if _is_position(v) and not _lacks_its_x(v, variables)]
     fast = [v for v in readable if _is_velocity(v) and v not in candidates]
     found: dict[str, Variable] = {}
     for position in candidates:
@@ -75,6 +80,11 @@ def _motion(readable: Sequence[Variable], variables: Mapping[str, Variable]) -> 
 def _is_position(variable: Variable) -> bool:
     by_name = bool(_POSITION.fullmatch(_last(variable.name))) and not _VELOCITY.fullmatch(_last(variable.name))
     return _measures(variable, _POSITION_UNITS) or (variable.measure is None and by_name)
+
+
+def _lacks_its_x(variable: Variable, variables: Mapping[str, Variable]) -> bool:
+    match = _BESIDE_X.fullmatch(variable.name) if variable.measure is None else None
+    return match is not None and f"{match['before']}x{match['number']}" not in variables
 
 
 def _is_velocity(variable: Variable) -> bool:
@@ -116,7 +126,10 @@ def _elements(variable: Variable) -> Iterator[str]:
 def _named_alike(position: str, velocity: str) -> bool:
     """`q1` and `qd1`, `dq1` or `q1_dot`; `x` and `v` alone do not say enough beside others."""
     stem, number = re.fullmatch(r"(.*?)(\d*)", position).groups()  # type: ignore[union-attr]
-    forms = (f"{stem}d{number}", f"d{stem}{number}", f"{stem}{number}_dot", f"{stem}_dot{number}", f"{stem}{number}d")
+    forms = (
+        *(f"{stem}d{number}", f"d{stem}{number}", f"d_{stem}{number}"),
+        *(f"{stem}{number}_dot", f"{stem}_dot{number}", f"{stem}{number}d"),
+    )
     pairs = (("p", "v"), ("x", "v"), ("s", "v"), ("phi", "w"), ("phi", "omega"), ("theta", "omega"), ("q", "v"))
     by_letter = any(stem.endswith(a) and velocity == stem[: -len(a)] + b + number for a, b in pairs)
     return velocity in forms or velocity == f"der({position})" or by_letter

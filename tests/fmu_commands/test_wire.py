@@ -66,6 +66,12 @@ GUESSES = {
         ["u input - -", "energy output J -", "x local m -", "v local m/s x"],
         (["u"], ["x"], ["v"]),
     ),
+    "coordinates": (
+        ["x output - -", "y output - -", "d_x output - -", "d_y output - -"],
+        ([], ["x", "y"], ["d_x", "d_y"]),
+    ),
+    "what a block gives is no coordinate": (["u input - -", "y output - -", "X output - -"], (["u"], [], [])),
+    "local variables by their names alone": (["a input - -", "pump.p local - -", "pump.phi local - -"], ([], [], [])),
     "nothing": (["level input - -", "alarm output - -"], ([], [], [])),
 }
 
