@@ -93,3 +93,23 @@ def test_findings_that_are_alike(tmp_path: Path, capsys: pytest.CaptureFixture[s
     output = inspected(capsys, str(write_fmu(tmp_path / "x.fmu", None, text)))
     (line,) = [line for line in output.splitlines() if "'colour'" in line]
     assert re.fullmatch(r"  lines \d+, \d+, \d+ and \d+ more: Element 'Real', attribute 'colour': .*", line)
+
+
+def test_names_of_variables(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """By the naming convention; thousands of them, as tools write, within a moment."""
+    good = ["a.b[1,2].c", "der(x.y)", "der(x,2)", "'any thing[{'.b", "_1"]
+    bad = ["1a", "a..b", "a[1", "der(x", "a b", "'x", "a[x]"]
+    names = [*good, *bad, *(f"part{i}.flange.phi[{i}]" for i in range(5000))]
+    scalars = "".join(
+        f'<ScalarVariable name="{name}" valueReference="{1000 + i}"><Real/></ScalarVariable>\n'
+        for i, name in enumerate(names)
+    )
+    text = description2().replace("</ModelVariables>", f"{scalars}</ModelVariables>")
+    path = tmp_path / "x.fmu"
+    write_fmu(
+        path, None, text.replace("<fmiModelDescription", '<fmiModelDescription variableNamingConvention="structured"')
+    )
+    lines = [line for line in inspected(capsys, str(path)).splitlines() if "is not named by" in line]
+    assert [line.split('"')[1] for line in lines] == bad
+    write_fmu(path, None, text)
+    assert "is not named by" not in inspected(capsys, str(path))

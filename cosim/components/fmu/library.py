@@ -229,15 +229,35 @@ def _libraries(
 
 def findings(path: Path) -> list[str]:
     """What FMPy's validation says of a file: schema, model structure, start values, units; what is alike, once."""
-    from fmpy.validation import validate_fmu
-
     alike: dict[str, list[str]] = {}
-    for problem in validate_fmu(str(path)):
+    for problem in _validated(path):
         text = _LISTED.sub(_shortened, " ".join(str(problem).split()))
         place = _PLACE.match(text)
         alike.setdefault(text[place.end() :] if place else text, []).append(place["line"] if place else "")
     return [f"{_places(lines)}{text}" for text, lines in alike.items()]
 
+
+def _validated(path: Path) -> list[str]:
+    """FMPy's validation, but for the names of variables, which takes it milliseconds each."""
+    found: list[str] = []
+    try:
+        read_model_description(str(path), validate=True, validate_model_structure=True)
+    except ValidationError as invalid:
+        found += map(str, invalid.problems)
+    except Exception as error:  # FMPy raises whatever the first missing attribute leads to
+        found.append(str(error))
+    model = read(path).model
+    convention = model.variableNamingConvention or "flat"
+    allowed = _STRUCTURED if convention == "structured" else _FLAT
+    odd = [v for v in model.modelVariables if not allowed.fullmatch(v.name)]
+    return found + [f'"{v.name}" (line {v.sourceline}) is not named by the convention "{convention}"' for v in odd]
+
+
+_WORD = r"(?:[A-Za-z_]\w*|'(?:[ -&(-\[\]-~]|\\.)+')(?:\[\d+(?:,\d+)*\])?"
+_STRUCTURED = re.compile(rf"(?a:{_WORD}(?:\.{_WORD})*|der\({_WORD}(?:\.{_WORD})*(?:,\d+)?\))")
+"""FMI 2.0.5, section 2.2.9; FMI 3.0, section 2.4.7.5.1."""
+
+_FLAT = re.compile(r"[^\r\n\t]+")
 
 _PLACE = re.compile(r"ERROR \(line (?P<line>\d+), column \d+\): ")
 _LISTED = re.compile(r"\{[^{}]*\}")
