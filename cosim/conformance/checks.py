@@ -36,21 +36,29 @@ def initialise(subject: Subject) -> Iterator[Said]:
 
 
 def start_values(subject: Subject) -> Iterator[Said]:
-    """Every variable takes the start value that is declared for it."""
+    """Every variable takes the start value that is declared for it: all at once, or else each by itself."""
     refused = 0
     own = subject.plan.start
     settable = [v for v in subject.description.variables.values() if is_settable(v) and v.name not in own]
     settable = [v for v in settable if v.causality != "structuralParameter" and v.start is not None]
-    for variable in settable:
-        plan = replace(subject.plan, start={**own, variable.name: variable.start or ()})
-        try:
-            with replace(subject, plan=plan).opened():
-                pass
-        except ComponentError as error:
-            refused += 1
-            yield Verdict.PROBLEM, f"{variable.name}: {_said(error)}"
+    if _refused(subject, {v.name: v.start or () for v in settable}) is not None:
+        for variable in settable:
+            error = _refused(subject, {variable.name: variable.start or ()})
+            if error is not None:
+                refused += 1
+                yield Verdict.PROBLEM, f"{variable.name}: {_said(error)}"
     if not refused:
         yield Verdict.OK, f"{len(settable)} accepted as they are declared"
+
+
+def _refused(subject: Subject, start: dict[str, tuple[Value, ...]]) -> ComponentError | None:
+    """What the component says against start values."""
+    plan = replace(subject.plan, start={**subject.plan.start, **start})
+    try:
+        with replace(subject, plan=plan).opened():
+            return None
+    except ComponentError as error:
+        return error
 
 
 def run(subject: Subject) -> Iterator[Said]:
