@@ -11,6 +11,7 @@ import tempfile
 import threading
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -60,6 +61,9 @@ def check(
 
 def _listed(value: Value | Sequence[Value]) -> list[Value]:
     return list(value) if isinstance(value, Sequence) and not isinstance(value, str) else [value]
+
+
+_AFTER_ANOTHER = "after other instances have ended in it; `isolate: true` gives each a process of its own"
 
 
 def _target(target: str | Path | type) -> tuple[Path | None, str | None]:
@@ -116,9 +120,14 @@ class _Trial:
         left = [(str(interface), name) for interface in self._interfaces for name in checks_of(interface)]
         found: list[Finding] = []
         losses: Counter[str] = Counter()
+        alone = False
         while left:
-            done, lost = self._attempt(left, found)
+            done, lost = self._attempt(left[:1] if alone else left, found)
             interface = left[done - 1][0]
+            if lost and done > 1 and (again := self._alone(left[done - 1])) is not None:
+                ended = found.pop()
+                found += [*again, replace(ended, check="independence", text=f"{ended.text}, {_AFTER_ANOTHER}")]
+                alone, lost = True, False
             left = left[done:]
             losses[interface] += lost
             if losses[interface] == _MOST_LOSSES:
@@ -128,6 +137,12 @@ class _Trial:
                 left = [(other, name) for other, name in left if other != interface]
         order = {(_NAMES[interface], name): i for i, interface in enumerate(self._interfaces) for name in CHECKS}
         return sorted(found, key=lambda finding: order[finding.interface, finding.check])
+
+    def _alone(self, check: tuple[str, str]) -> list[Finding] | None:
+        """What a check finds in a process of its own; None if that does not survive either."""
+        found: list[Finding] = []
+        _, lost = self._attempt([check], found)
+        return None if lost else found
 
     def _attempt(self, checks: Sequence[tuple[str, str]], found: list[Finding]) -> tuple[int, bool]:
         """One process; how many of the checks are done with, and whether the last of them was its end."""

@@ -3,6 +3,7 @@
 import itertools
 import os
 from collections.abc import Mapping
+from typing import ClassVar
 
 from cosim.components.python import Input, Output, Parameter, PythonComponent, State, Structural
 
@@ -122,3 +123,15 @@ class Picky(Ramp):
     def initialise(self, time: float) -> None:
         if self.u == 1.0:
             raise ValueError("1 is no good start")
+
+
+class Once(Ramp):
+    """One in a process, ever: as of an FMU that frees at its end what the next one needs."""
+
+    _begun: ClassVar[list[object]] = []
+
+    def initialise(self, time: float) -> None:
+        if not any(other is self for other in self._begun):
+            self._begun.append(self)
+        if len(self._begun) > 1:
+            os.abort()

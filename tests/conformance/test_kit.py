@@ -115,6 +115,15 @@ def test_fmus_that_break_rules(probes: dict[int, Path]) -> None:
         assert found["reset"].startswith(f"fmi{fmi}Reset returned Error")
 
 
+def test_one_that_works_once_in_a_process() -> None:
+    """What crashes only after others have ended is no fault of the check that was on; the others are still tried."""
+    report = check(components.Once)
+    text = next(problem.text for problem in report.problems if problem.check == "independence")
+    assert text.startswith("crashes its process (SIGABRT), after other instances have ended in it; `isolate: true`")
+    accepted = {finding.check for finding in report.findings if finding.verdict is Verdict.OK}
+    assert {"initialise", "start values", "run"} <= accepted
+
+
 @pytest.mark.parametrize(
     ("fails", "name", "sentence"),
     [
