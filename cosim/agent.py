@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 from cosim.components.component import Component, Floats
 from cosim.coupling import PythonLoop
-from cosim.errors import ComponentError, EndRequestedError, RunEndedError, RunError
+from cosim.errors import ComponentError, DiscardedStepError, EndRequestedError, RunEndedError, RunError
 from cosim.mailbox import Updates
 from cosim.memory import LoopState
 from cosim.plan import AgentPlan
@@ -111,7 +111,9 @@ class Agent:
         return kind(self.plan.name, error.component, time, error.message + self._hint(error), error.log)
 
     def _hint(self, error: ComponentError) -> str:
-        """Numbers that are not finite: say which step would tell an unstable scenario from too long a step."""
+        """What may help: shorter steps, where one was discarded or where numbers are not finite."""
+        if isinstance(error, DiscardedStepError):
+            return self._hint_to_retry()
         if "not finite" not in f"{error.message} {error.log}":
             return ""
         coupling = self.plan.coupling
@@ -126,3 +128,10 @@ class Agent:
             f"; either the scenario is unstable, or a step of {step} is too long for the coupling {coupling.method}: "
             f'try `--set coupling.step="{shorter}"`'
         )
+
+    def _hint_to_retry(self) -> str:
+        coupling = self.plan.coupling
+        can = all(component.description.can_get_and_set_state for component in self.components)
+        if coupling.retries or coupling.control is not None or not can:
+            return ""
+        return "; `--set coupling.retries=6` tries it in halves"

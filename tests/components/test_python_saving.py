@@ -170,7 +170,9 @@ def test_a_run_with_steps_that_are_discarded(tmp_path: Path, coupling: str) -> N
 def test_without_retries_a_discarded_step_ends_the_run(tmp_path: Path) -> None:
     done = cosim(tmp_path, "run", "net.yaml", "--no-report", text=SCENARIO.format(cls="Short", coupling="step: 10 ms"))
     assert done.returncode == 3
-    assert "agent 1, component part, at t = 0 s: discarded the step: too long for me" in done.stderr
+    assert "agent 1, component part, at t = 0 s: discarded the step: too long for me; `--set coupling.re" in done.stderr
+    again = cosim(tmp_path, "run", "net.yaml", "--no-report", "--set", "coupling.retries=6")
+    assert again.returncode == 0, again.stderr
 
 
 # --- what cannot be saved ---------------------------------------------------------------------------------------------
