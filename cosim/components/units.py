@@ -61,11 +61,14 @@ def conversion(source: Measure, target: Measure) -> Scale | None:
     return Scale(source.factor / target.factor, (source.offset - target.offset) / target.factor)
 
 
+_WRITTEN = str.maketrans("·*⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "..-0123456789")
+
+
 def measure(unit: str | None) -> Measure | None:
     """What a unit that is written as Modelica writes units measures; None where that cannot be told."""
     if unit is None:
         return None
-    tokens = re.findall(r"\d+|[^\W\d_]+|\S", unit.strip().replace("·", ".").replace("*", "."))
+    tokens = re.findall(r"\d+|[^\W\d_]+|\S", unit.strip().translate(_WRITTEN))
     try:
         found, rest = _product(tokens)
     except (KeyError, IndexError, ValueError):

@@ -14,6 +14,7 @@ from cosim.components.units import Measure, Scale, conversion, measure
 from tests.mapping.foreign import renamed
 
 SAME = [
+    ("m/s²", "m.s⁻²", 1.0),
     ("N.m", "kg.m2/s2", 1.0),
     ("N.m", "J", 1.0),
     ("kg*m^2/s^2", "kg.m2.s-2", 1.0),
