@@ -86,3 +86,14 @@ def test_a_full_disk_costs_the_log_not_the_run(tmp_path: Path) -> None:
     (tmp_path / "x.log").symlink_to("/dev/full")
     with Logs(tmp_path) as logs:
         logs.sink("x")(b"some text")
+
+
+@pytest.mark.parametrize("isolate", ["", ", isolate: true", ", inputs: {u: Int32_in}"])
+def test_the_tolerance_that_a_scenario_gives_reaches_the_fmu(
+    probes: dict[int, Path], tmp_path: Path, isolate: str
+) -> None:
+    text = scenario(probes[3], "nothing", isolate=f", tolerance: 1.0e-9{isolate}")
+    done = cosim(tmp_path, "run", "net.yaml", "--out", "out", "--no-report", text=text)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out/logs/bad.probe.log").read_text() == "[Warning] told the tolerance 1e-09\n"
+    assert "tolerance: 1.0e-09" in (tmp_path / "out/scenario.yaml").read_text()

@@ -271,6 +271,7 @@ def _opening(plan: ComponentPlan, interface: Interface) -> dict[str, Any]:
         "python": plan.python,
         "interface": str(interface),
         "sha256": plan.description.sha256,
+        "tolerance": plan.description.tolerance,
         "structural": {v.name: int(x[0]) for v, x in starts if v.causality == "structuralParameter" and x},
     }
 

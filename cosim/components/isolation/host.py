@@ -127,7 +127,7 @@ def _open(tree: Mapping[str, Any]) -> Component:
             f"the file of {tree['python']} is not the one that the scenario was checked with (its SHA-256 differs)"
         )
         raise ComponentError(tree["name"], message)
-    description = replace(description, sha256=tree["sha256"])
+    description = replace(description, sha256=tree["sha256"], tolerance=tree["tolerance"])
     return open_component(tree["name"], path, tree["python"], Interface(tree["interface"]), description, _print)
 
 
