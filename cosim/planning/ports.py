@@ -11,6 +11,7 @@ from cosim.errors import Location, suggest
 from cosim.plan import Port
 from cosim.planning.problems import Problems
 from cosim.planning.starts import FLOATS, INTEGERS, NUMERIC
+from cosim.scenario.source import dump_on_one_line
 
 if TYPE_CHECKING:
     from cosim.planning.mapping import Mapped
@@ -72,6 +73,9 @@ class Ports:
         variables = self.descriptions[self.components[port.component]].variables.values()
         those = _short_list(variable.name for variable in variables if variable.causality == wanted)
         has = f"; the {wanted}s of {self.components[port.component]!r}: {those}" if those else ""
+        if wanted == "output" and port.variable.causality in {"local", "calculatedParameter"}:
+            own = dump_on_one_line({port.variable.name: port.variable.name})
+            has = f"; `outputs: {own}` beside 'fmu' makes it one"
         self.problems.error(f"{reference!r} is {a_or_an(port.variable.causality)}, not {a_or_an(wanted)}{has}", where)
         return None
 
@@ -112,7 +116,11 @@ def numbers(size: int) -> str:
 
 def a_or_an(causality: str) -> str:
     """A causality in words, with its article."""
-    words = {"structuralParameter": "structural parameter", "calculatedParameter": "calculated parameter"}
+    words = {
+        "structuralParameter": "structural parameter",
+        "calculatedParameter": "calculated parameter",
+        "local": "local variable",
+    }
     word = words.get(causality, causality)
     return f"an {word}" if word[0] in "aeiou" else f"a {word}"
 

@@ -168,6 +168,10 @@ WHAT_IT_MEANS: dict[str, tuple[Change, str]] = {
         ("- plant.p -> controller.p", "- §plant.u -> controller.p"),
         "'plant.u' is an input, not an output; the outputs of 'plant': p, v",
     ),
+    "starts at a local variable": (
+        ("- plant.p -> controller.p", "- §plant.der(v) -> controller.p"),
+        "'plant.der(v)' is a local variable, not an output; `outputs: {der(v): der(v)}` beside 'fmu' makes it one",
+    ),
     "ends at an output": (
         ("- plant.p -> controller.p", "- §plant.p -> controller.u"),
         "'controller.u' is an output, not an input",
