@@ -170,6 +170,7 @@ def test_the_log_says_why_instantiation_fails(probe_library: Path, tmp_path: Pat
     with pytest.raises(ComponentError) as caught:
         open_fmu("probe", path, CS, describe(path))
     assert caught.value.log == "[Error] wrong token"
+    assert "its library gives no instance; `cosim check` shows what it prints" in caught.value.message
 
 
 # --- values ---------------------------------------------------------------------------------------------------------

@@ -89,7 +89,10 @@ class FmuComponent(Component):
         except ConfigError:  # the file is at fault, and the message names it
             raise
         except Exception as error:  # FMPy raises bare exceptions
-            raise ComponentError(name, f"cannot be opened: {error}", self.log.last) from error
+            reason = str(error)
+            if reason.startswith("Failed to instantiate"):  # FMPy's words for an FMU that gives NULL
+                reason = "its library gives no instance; `cosim check` shows what it prints, such as a missing licence"
+            raise ComponentError(name, f"cannot be opened: {reason}", self.log.last) from error
         self._instance = self._fmu.component
 
     @property
