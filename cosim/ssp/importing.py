@@ -12,6 +12,7 @@ from cosim.components.units import IDENTITY, Measure, Scale, conversion, measure
 from cosim.errors import ConfigError, Problem, Severity, suggest
 from cosim.scenario.source import Lines, dump
 from cosim.ssp.flattening import End, Flat, Setting, Wire, flatten
+from cosim.ssp.flattening import Path as Where
 from cosim.ssp.package import Package
 from cosim.ssp.structure import Connection, Connector, Reader, Structure
 from network.units import NANOSECONDS_PER_SECOND, format_duration
@@ -111,8 +112,8 @@ class _Import:
         record = [self._reference(end, self._outputs) for end in self._flat.outputs.values() if self._variable(end)]
         self._raise_if_any()
         components = {}
-        for path, component in self._flat.components.items():
-            name = self._flat.names[path]
+        for path in self._order():
+            component, name = self._flat.components[path], self._flat.names[path]
             tree: dict[str, Any] = {"fmu": f"{self._folder}/{self._files[component.member].name}"}
             for key, found in (("inputs", self._inputs), ("outputs", self._outputs), ("start", starts)):
                 if name in found:
@@ -160,6 +161,23 @@ class _Import:
         """What the package asks for, if all its components ask for the same."""
         asked = {x.implementation for x in self._flat.components.values()} - {"any"}
         return {"ModelExchange": "joint", "CoSimulation": "midpoint"}.get(asked.pop()) if len(asked) == 1 else None
+
+    def _order(self) -> list[Where]:
+        """The components, those with direct feedthrough after those that they read, as far as there is no loop: so
+        couplings of Co-Simulation keep their order.
+        """
+        before: dict[Where, set[Where]] = {path: set() for path in self._flat.components}
+        for wire in self._flat.wires:
+            fed = self._variable(wire.target)
+            outputs = [v for v in self._descriptions[wire.target[0]].variables.values() if v.causality == "output"]
+            if fed is not None and any(v.dependencies is None or fed.name in v.dependencies for v in outputs):
+                before[wire.target[0]].add(wire.source[0])
+        left, order = list(before), list[Where]()
+        while left:
+            following = next((path for path in left if not before[path].intersection(left) - {path}), left[0])
+            left.remove(following)
+            order.append(following)
+        return order
 
     # --- connections ------------------------------------------------------------------------------------------------
     def _variable(self, end: End) -> Variable | None:

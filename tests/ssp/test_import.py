@@ -433,3 +433,18 @@ def test_local_variables_whole_numbers_and_items_are_connected(
     rate, seen, item = np.array([np.frombuffer(row) for _, row in record.ticks])[-1]
     assert (seen, item) == (np.float32(rate), 2.0)
     assert rate != 0.0
+
+
+def test_what_feeds_through_comes_after_what_it_reads(tmp_path: Path) -> None:
+    """As `midpoint` wants it, in whatever order the package has them."""
+    components = "".join(
+        f'<ssd:Component name="{name}" source="{source}" implementation="CoSimulation"/>'
+        for name, source in (("pd", CONTROLLER), ("plant", PLANT))
+    )
+    wires = connection("plant.p", "pd.p") + connection("plant.v", "pd.v") + connection("pd.u", "plant.u")
+    system = f'<ssd:System name="s"><ssd:Elements>{components}</ssd:Elements>'
+    system += f"<ssd:Connections>{wires}</ssd:Connections></ssd:System>"
+    import_package(package(tmp_path, system), tmp_path / "out.yaml")
+    planned = load(str(tmp_path / "out.yaml"))
+    assert [part.name for part in planned.plan.agents[0].components] == ["plant", "pd"]
+    assert not [problem for problem in planned.warnings if "order 1" in problem.message]
