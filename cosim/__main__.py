@@ -1,7 +1,5 @@
 """`python -m cosim` is `cosim`."""
 
-import sys
+from cosim.cli import command
 
-from cosim.cli import main
-
-sys.exit(main())
+command()

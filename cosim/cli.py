@@ -63,6 +63,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return code
 
 
+def command() -> NoReturn:
+    """The process `cosim`: `main`, and its end."""
+    try:
+        code = main()
+    except SystemExit as asked:
+        code = asked.code if isinstance(asked.code, int) else 0
+    if "cosim.components.fmu.library" in sys.modules:
+        from cosim.spawning import leave
+
+        leave(code)
+    sys.exit(code)
+
+
 def _terminate(number: int, _: FrameType | None) -> NoReturn:
     """End through Python, so that temporary folders are removed, with the code that the signal would have given."""
     sys.exit(128 + number)

@@ -12,6 +12,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from cosim.spawning import leave
+
 
 def main() -> None:
     """Carry out one request."""
@@ -51,3 +53,4 @@ def main() -> None:
 
 if __name__ == "__main__":
     main()
+    leave(0)

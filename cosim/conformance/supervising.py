@@ -11,6 +11,7 @@ import tempfile
 import threading
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
@@ -22,6 +23,8 @@ from cosim.errors import ConfigError, Problem
 
 _LONGEST_START = 60.0
 """Seconds within which a process has read the component."""
+_LEAVE_SECONDS = 5.0
+"""Within which a process that is through has removed its files."""
 _MOST_LOSSES = 2
 """After so many processes that one interface crashed or hung, its other checks are left out."""
 _NAMES = {Interface.CO_SIMULATION: "Co-Simulation", Interface.MODEL_EXCHANGE: "Model Exchange"}
@@ -161,6 +164,9 @@ class _Trial:
                     text = self._account(child, ended) + _last_line(prints)
                     found.append(Finding(_NAMES[Interface(interface)], name, Verdict.PROBLEM, text))
                     done, lost = done + 1, True
+                else:
+                    with suppress(subprocess.TimeoutExpired):
+                        child.wait(_LEAVE_SECONDS)
             finally:
                 child.kill()
                 child.communicate()

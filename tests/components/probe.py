@@ -27,8 +27,8 @@ FAILS = (
 )
 
 
-def compile_probe(folder: Path) -> Path:
-    """The library; functions that the probe leaves out are stubs."""
+def compile_probe(folder: Path, more: str = "") -> Path:
+    """The library; functions that the probe leaves out are stubs, `more` is C beside them."""
     source = (HERE / "probe.c").read_text(encoding="utf-8")
     defined = set(re.findall(r"\b(fmi[23]\w+)\(", source)) | {
         f"fmi3{verb}{t}" for verb in ("Get", "Set") for t in TYPES
@@ -38,7 +38,8 @@ def compile_probe(folder: Path) -> Path:
     missing = [name for fmi in (2, 3) for name in build.required_functions(fmi) if name not in defined]
     stubs = folder / "stubs.c"
     export = "__declspec(dllexport)" if sys.platform == "win32" else '__attribute__((visibility("default")))'
-    stubs.write_text("".join(f"{export} int {name}(void) {{ return 3; }}\n" for name in missing), encoding="utf-8")
+    text = "".join(f"{export} int {name}(void) {{ return 3; }}\n" for name in missing)
+    stubs.write_text(text + more, encoding="utf-8")
     library = folder / f"probe{build.library_suffix()}"
     build.compile_shared([HERE / "probe.c", stubs], library, includes=[build.ROOT / "include"])
     return library

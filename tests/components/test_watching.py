@@ -15,6 +15,7 @@ import pytest
 
 from cosim.results import load
 from tests.components.misbehaving import ROOT, cosim, scenario
+from tests.components.probe import compile_probe, description3, write_fmu
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 
@@ -128,3 +129,31 @@ def test_an_fmu_that_changes_the_current_folder(probes: dict[int, Path], tmp_pat
     assert "  report                   out/report.html" in done.stdout
     assert load(tmp_path / "out").manifest["status"] == "complete"
     assert (tmp_path / "out" / "report.html").exists()
+
+
+DESTRUCTOR = """
+#include <stdlib.h>
+__attribute__((destructor)) static void at_exit(void) { abort(); }
+"""
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("run", "net.yaml", "--out", "out", "--no-report"),
+        ("run", "net.yaml", "--out", "out", "--no-report", "--distributed", "--workers", "1"),
+        ("run", "net.yaml", "--out", "out", "--no-report", "--set", "templates.probe.components.probe.isolate=true"),
+        ("check", "net.yaml"),
+        ("fmu", "test", "ending.fmu"),
+    ],
+    ids=["run", "distributed", "isolated", "check", "fmu test"],
+)
+def test_an_fmu_that_does_not_survive_the_end_of_its_process(tmp_path: Path, command: tuple[str, ...]) -> None:
+    """Its destructors run after all that matters, and some crash: the outcome stays what it was."""
+    library = compile_probe(tmp_path, DESTRUCTOR)
+    write_fmu(tmp_path / "ending.fmu", library, description3())
+    done = cosim(tmp_path, *command, text=scenario(Path("ending.fmu"), "nothing"))
+    assert done.returncode == (2 if command[0] == "fmu" else 0), done.stderr  # the probe has its problems
+    assert "crash" not in done.stdout + done.stderr
+    assert "SIGABRT" not in done.stdout + done.stderr
+    assert not list((tmp_path / "tmp").iterdir())

@@ -6,6 +6,7 @@ own instantiation.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import copy
 import ctypes
@@ -314,10 +315,15 @@ def _load(file: File, interface: Interface) -> Any:
     finally:
         os.chdir(working_directory)  # FMPy changes it, and does not come back if loading fails
     if os.name == "nt":  # a loaded library could not be removed
-        import atexit
-
         atexit.register(fmu.freeLibrary)
+    _release_early(fmu.dll)
     return fmu
+
+
+def _release_early(library: ctypes.CDLL) -> None:
+    """PythonFMU's libraries release what they share twice when a process ends, unless it is gone by then."""
+    with contextlib.suppress(AttributeError):
+        atexit.register(library.finalizePythonInterpreter)
 
 
 def _forgiving(base: Any, types: frozenset[str]) -> Any:
