@@ -155,7 +155,7 @@ def test_worker_that_is_killed(tick: int, channel: str, scratch: Path) -> None:
         cluster.run(plan, 2, [record])
     said = re.fullmatch(
         r"worker-2 \(agents 3, 4\) was killed by signal 9 \(SIGKILL, as the system does when memory runs out\) "
-        rf"at tick {tick} \(t = {tick / 10:g} s\), while it advanced agent 3 \(node\)\n"
+        rf"at tick {tick} \(t = {tick / 10:g} s\), while it advanced agent 3, component node\n"
         r"  the emulator waits for the samples of tick (\d+) from worker-2 \(agents 3, 4\)\n"
         r"  worker-1 \(agents 1, 2\) waits for the mail of tick (\d+) from the emulator",
         str(caught.value),
@@ -195,7 +195,7 @@ def test_worker_that_does_not_go_on(fault: str, deadline: float, said: str, scra
     with pytest.raises(ClusterError) as caught:
         cluster.run(plan, 3, [record], step_deadline=deadline)
     found = re.fullmatch(
-        rf"worker-2 \(agent 2\) {re.escape(said)} at tick 4 \(t = 0.4 s\), while it advanced agent 2 \(node\)\n"
+        rf"worker-2 \(agent 2\) {re.escape(said)} at tick 4 \(t = 0.4 s\), while it advanced agent 2, component node\n"
         r"  the emulator waits for the samples of tick \d from worker-2 \(agent 2\)\n"
         r"  worker-1 \(agent 1\) and worker-3 \(agent 3\) wait for the mail of tick \d from the emulator",
         str(caught.value),
