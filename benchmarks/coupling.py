@@ -22,15 +22,15 @@ from typing import cast
 import numpy as np
 
 import fmus
+from cosim.agents.coupling import PythonLoop
+from cosim.agents.mailbox import Updates
+from cosim.agents.memory import LoopMemory
+from cosim.agents.wiring import wire
 from cosim.components.component import Component, Floats
 from cosim.components.fmu import FmuComponent
 from cosim.components.opening import await_open, describe, open_components
-from cosim.coupling import PythonLoop
 from cosim.kernel import Member, NativeBlock
-from cosim.mailbox import Updates
-from cosim.memory import LoopMemory
 from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, Isolation, MailboxPlan, Method, Port
-from cosim.wiring import wire
 from fmus.build import ROOT, compile_shared, library_suffix
 from network.messages import Mail, MessageLayout
 from network.units import to_seconds

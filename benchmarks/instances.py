@@ -73,7 +73,7 @@ def components(path: Path, interface: str, number: int, _library: str) -> dict[s
 
 def agents(path: Path, interface: str, number: int, _library: str) -> dict[str, float]:
     """Netcosim's agents; planning is not counted."""
-    from cosim.agents import Agents
+    from cosim.agents.group import Agents
     from cosim.planning import plan
     from cosim.scenario.reading import read_scenario
 

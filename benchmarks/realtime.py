@@ -23,8 +23,8 @@ N_AGENTS = 2
 WAYS = {"one process": (), "distributed": ("--distributed", "--workers", "2")}
 LOOP = """
 import json, sys, time
-from cosim.lateness import Durations
-from cosim.pacing import precise_timers
+from cosim.running.lateness import Durations
+from cosim.running.pacing import precise_timers
 precise_timers()
 rate, seconds = int(sys.argv[1]), float(sys.argv[2])
 late, began, missed = Durations(), time.monotonic_ns(), 0

@@ -123,9 +123,9 @@ class Clock:
 
 def measure(n_agents: int, config: Path, small: Path) -> dict[str, float]:
     """What one process has to say."""
-    from cosim import inline
-    from cosim.agents import Agents
+    from cosim.agents.group import Agents
     from cosim.planning import load
+    from cosim.running import inline
 
     Agents(load(str(small)).plan).terminate()  # imports, and reads the FMUs
     times = [time.process_time()]

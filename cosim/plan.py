@@ -52,7 +52,7 @@ class Loop(StrEnum):
 
 @dataclass(frozen=True)
 class ControlPlan:
-    """Steps of a Co-Simulation coupling that keep to a tolerance; see `cosim.step_control`.
+    """Steps of a Co-Simulation coupling that keep to a tolerance; see `cosim.agents.step_control`.
 
     Attributes:
         relative_tolerance: for the error of a step in a connected output, in parts of its size.

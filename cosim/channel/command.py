@@ -16,8 +16,8 @@ from cosim.recording.manifest import command_line, folder_problem, versions, wri
 from cosim.reporting import network, page
 from cosim.reporting.edges import Edges
 from cosim.reporting.words import Rows
+from cosim.running.stopping import StopRequest
 from cosim.scenario.source import dump, dump_on_one_line
-from cosim.stopping import StopRequest
 from network.units import format_duration
 
 if TYPE_CHECKING:

@@ -16,9 +16,9 @@ from cosim.distributed.processes import Processes
 from cosim.distributed.standing import carried
 from cosim.distributed.supervision import Supervisor, Tell
 from cosim.errors import ClusterError, CosimError
-from cosim.inline import Interrupted, Observer, Take
-from cosim.pacing import Pacer
 from cosim.plan import Plan, Workers
+from cosim.running.inline import Interrupted, Observer, Take
+from cosim.running.pacing import Pacer
 from cosim.scratch import Scratch
 from network.transport import Hub, TransportError
 
@@ -74,9 +74,9 @@ def run(  # noqa: PLR0917
     Args:
         plan: what to run.
         workers: how many workers carry the agents, or the agents of each.
-        observers: told of every tick and every fate, in order, as by `cosim.inline.run`.
+        observers: told of every tick and every fate, in order, as by `cosim.running.inline.run`.
         stop_requested: asked a few times a second.
-        take: gives the values from outside that are new at a tick, as in `cosim.inline.run`.
+        take: gives the values from outside that are new at a tick, as in `cosim.running.inline.run`.
         tell: is told, in a line, what happens to a worker, and what the manifest says of a restart.
         step_deadline: seconds in which some process must get further.
         pacer: holds the run back to the pace of the wall; without one, it runs as fast as it can.

@@ -24,13 +24,13 @@ from cosim.distributed.replacement import Moment
 from cosim.distributed.serving import send
 from cosim.distributed.supervision import Supervisor, Tell
 from cosim.errors import ClusterError
-from cosim.inline import Interrupted, Observer, Take
-from cosim.pacing import Pacer
 from cosim.plan import Plan
-from cosim.running import Play
+from cosim.running.command import Play
+from cosim.running.inline import Interrupted, Observer, Take
+from cosim.running.pacing import Pacer
+from cosim.running.stopping import StopRequest
+from cosim.running.watching import Watch
 from cosim.scenario.names import in_short
-from cosim.stopping import StopRequest
-from cosim.watching import Watch
 from network.codec import encode_object
 from network.transport import Envelope, Hub, Kind, PeerLost, TransportError, TransportTimeout, WireError
 
@@ -44,8 +44,8 @@ def main(args: argparse.Namespace) -> int:
     Raises:
         CosimError: a mistake, somebody who does not come, or a run that failed.
     """
-    from cosim import running
     from cosim.planning import load
+    from cosim.running import command
 
     place = Place.of(args)
     planned = load(args.config, args.set, seed=args.seed, until=args.until)
@@ -65,7 +65,7 @@ def main(args: argparse.Namespace) -> int:
                 gather(hub, lobby, args.wait, stop, tell if not args.quiet else lambda _: None)
         except Interrupted:
             return stop.exit_code
-        return running.record(args, plan, partial(_way_to_play, hub, lobby.workers))
+        return command.record(args, plan, partial(_way_to_play, hub, lobby.workers))
 
 
 def gather(
@@ -146,7 +146,7 @@ def _way_to_play(  # noqa: PLR0917
     args: argparse.Namespace,
     plan: Plan,
     pacer: Pacer | None,
-    folder: Path,  # noqa: ARG001 - as of `cosim.running.Way`
+    folder: Path,  # noqa: ARG001 - as of `cosim.running.command.Way`
     tell: Tell,
     watch: Watch | None,  # noqa: ARG001 - the components are elsewhere
 ) -> tuple[Play, dict[str, Any]]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from cosim.agents.step_control import StepAccount
 from cosim.distributed.assignment import EMULATOR, Job, Message, Share, batch_ticks, blocks, renamed, window_ticks
 from cosim.distributed.failure import Failure
 from cosim.distributed.incoming import FateLog, Rows
@@ -18,10 +19,9 @@ from cosim.distributed.replacement import History, Moment
 from cosim.distributed.standing import Standing, carried
 from cosim.distributed.survey import Lost, Survey
 from cosim.errors import ClusterError, CosimError, RunEndedError
-from cosim.inline import Observer, Take, tell, tell_of_steps
 from cosim.master import Finish, Master
 from cosim.plan import Plan
-from cosim.step_control import StepAccount
+from cosim.running.inline import Observer, Take, tell, tell_of_steps
 from network import codec
 from network.codec import Block, encode_object
 from network.emulator import Emulator
@@ -74,7 +74,7 @@ class Orchestration:
         plan: what runs.
         workers: the agents of every worker.
         observers: told of every tick and every fate, in order.
-        take: gives the values from outside that are new at a tick, as in `cosim.inline.run`.
+        take: gives the values from outside that are new at a tick, as in `cosim.running.inline.run`.
         paced: whether ticks wait for `release`.
     """
 

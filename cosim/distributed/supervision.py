@@ -17,9 +17,9 @@ from cosim.distributed.replacement import Moment, when
 from cosim.distributed.serving import send
 from cosim.distributed.standing import carried, waits
 from cosim.errors import ClusterError, CosimError, RunEndedError
-from cosim.inline import Interrupted
-from cosim.pacing import Pacer
 from cosim.plan import Plan
+from cosim.running.inline import Interrupted
+from cosim.running.pacing import Pacer
 from network.transport import Hub, PeerLost, TransportTimeout, WireError
 from network.units import to_seconds
 

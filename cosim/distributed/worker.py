@@ -10,14 +10,14 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from cosim.agents import NOTHING, Agents
+from cosim.agents.group import NOTHING, Agents
+from cosim.agents.step_control import manifest
 from cosim.attention import TICK, idle
 from cosim.distributed.assignment import EMULATOR, ORCHESTRATOR, Message, Share, batch_ticks, blocks, pick
 from cosim.distributed.failure import INITIALISING, OPENING, Failure
 from cosim.errors import ConfigError, RunError
 from cosim.logs import NO_LOGS, Logs
 from cosim.plan import AgentPlan, Plan
-from cosim.step_control import manifest
 from network import codec
 from network.messages import Floats, Ints, Mail
 from network.transport import Envelope, Kind, WireError

@@ -1,7 +1,7 @@
 """The micro-step loop in C, for agents whose components are all FMUs: one call per tick for all of them.
 
-The library calls the FMUs' functions directly and gives the same bits as `cosim.mailbox` with
-`cosim.coupling.PythonLoop`. It is called without Python's global lock.
+The library calls the FMUs' functions directly and gives the same bits as `cosim.agents.mailbox` with
+`cosim.agents.coupling.PythonLoop`. It is called without Python's global lock.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from cosim.plan import CouplingPlan
 from network.units import to_seconds
 
 if TYPE_CHECKING:
-    from cosim.memory import LoopMemory
-    from cosim.wiring import Wiring
+    from cosim.agents.memory import LoopMemory
+    from cosim.agents.wiring import Wiring
     from network.messages import Floats, Ints, Mail
 
 _LATEST_NS = 2**53

@@ -1,7 +1,7 @@
 /* What a crash of native code leads to: somebody is told, and has time to say so before the process ends (sigaction(2)).
  *
  * A handler may do next to nothing. This one writes the number of the signal to a pipe and holds the thread that has
- * crashed, while another one (cosim/watching.py) says what happened and ends the process.
+ * crashed, while another one (cosim/running/watching.py) says what happened and ends the process.
  */
 #if !defined(_WIN32)
 #define _XOPEN_SOURCE 700

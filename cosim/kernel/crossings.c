@@ -1,4 +1,4 @@
-/* State events: where an event indicator changes its sign, found to the nanosecond as cosim/crossings.py does. */
+/* State events: where an event indicator changes its sign, found to the nanosecond as cosim/agents/crossings.py does. */
 #include <math.h>
 #include <stddef.h>
 

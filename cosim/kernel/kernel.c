@@ -70,7 +70,7 @@ static bool integrate(Agent *agent, int64_t start_ns, int64_t end_ns) {
                                   : step_components(agent, start_ns, end_ns);
 }
 
-/* Whether message number `i` is fresher than what the mailbox holds of its sender (cosim/mailbox.py). */
+/* Whether message number `i` is fresher than what the mailbox holds of its sender (cosim/agents/mailbox.py). */
 static bool is_fresh(const Agent *agent, const Mail *mail, int64_t i) {
     return (double)mail->stamp[i] > agent->signals[agent->mailbox_stamp[mail->slot[i]]];
 }

@@ -1,6 +1,6 @@
 /* The native micro-step loop of agents whose components are all FMUs.
  *
- * It carries out the floating-point operations of cosim/coupling.py in the same order and so gives the same bits; that
+ * It carries out the floating-point operations of cosim/agents/coupling.py in the same order and so gives the same bits; that
  * file is the reference and says what the methods are. All memory belongs to the caller: nothing is allocated here, and
  * there is no state outside `Agent` and `Member`. Every function that can fail returns false after noting why in `agent->failure`.
  *
@@ -13,11 +13,11 @@
 #include <stdint.h>
 
 #define NANOSECONDS_PER_SECOND 1e9
-#define EVENT_ITERATIONS 100          /* as in cosim/coupling.py */
+#define EVENT_ITERATIONS 100          /* as in cosim/agents/coupling.py */
 #define DISCRETE_STATE_ITERATIONS 100 /* as in cosim/components/fmu/component.py */
 #define EVENTS_PER_STEP 100           /* as in cosim/components/fmu/component.py */
 #define SHORTEST 1e-9                 /* likewise */
-#define STATE_EVENTS_PER_STEP 100     /* as in cosim/crossings.py */
+#define STATE_EVENTS_PER_STEP 100     /* as in cosim/agents/crossings.py */
 #define FIRST_PART 4096               /* likewise */
 #define GROWTH 4                      /* likewise */
 #define STAGES 7                      /* of the Dormand-Prince pair; Runge-Kutta 4 needs four */
@@ -160,7 +160,7 @@ typedef struct {
     double relative_tolerance;
     double absolute_tolerance;
 
-    /* What the loop remembers (cosim.coupling.LoopState). */
+    /* What the loop remembers (cosim.agents.coupling.LoopState). */
     double *signals;
     double *previous;
     double *steps;
@@ -232,7 +232,7 @@ bool leave_events(Agent *agent, int component); /* Co-Simulation: from Event Mod
 /* joint.c: `reached_ns` is `end_ns`, or earlier if there is a state event of `component`. */
 bool integrate_states(Agent *agent, int64_t start_ns, int64_t end_ns, int64_t *reached_ns, int32_t *component);
 
-/* crossings.c: state events, as in cosim/crossings.py */
+/* crossings.c: state events, as in cosim/agents/crossings.py */
 typedef struct {
     int64_t low;
     int64_t high;

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cosim.agents.crossings import chattering
+from cosim.agents.transfers import Transfer
+from cosim.agents.wiring import takes_in_event_mode
 from cosim.components.component import Component, Interface, Variable
-from cosim.crossings import chattering
 from cosim.errors import ComponentError, ConfigError, Problem
 from cosim.kernel import layout
 from cosim.kernel.layout import Reason
 from cosim.plan import CouplingPlan
-from cosim.transfers import Transfer
-from cosim.wiring import takes_in_event_mode
 
 if TYPE_CHECKING:
+    from cosim.agents.wiring import Wiring
     from cosim.components.fmu import FmuComponent, Native
-    from cosim.wiring import Wiring
 
 
 class Kind:
@@ -115,7 +115,7 @@ class Kind:
             case Reason.STATE_NOT_FINITE:
                 return ComponentError(component.name, f"continuous state {failure.index + 1} is not finite")
             case Reason.EVENTS_UNSETTLED:
-                from cosim.coupling import EVENT_ITERATIONS
+                from cosim.agents.coupling import EVENT_ITERATIONS
 
                 message = f"the event iteration did not settle within {EVENT_ITERATIONS} rounds"
                 return ComponentError(component.name, message)

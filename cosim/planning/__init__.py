@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from cosim.agents.wiring import AlgebraicLoopError, wire
 from cosim.components.component import Value, Variable
 from cosim.components.presented import in_unit_of
 from cosim.errors import ConfigError, Problem
@@ -32,7 +33,6 @@ from cosim.scenario import configs
 from cosim.scenario.merging import Override
 from cosim.scenario.reading import Scenario, read_scenario
 from cosim.scenario.spec import MAILBOX_PORTS
-from cosim.wiring import AlgebraicLoopError, wire
 from network.messages import MessageLayout
 from network.units import format_duration
 

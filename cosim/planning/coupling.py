@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import replace
 
+from cosim.agents.wiring import AlgebraicLoop
 from cosim.components.component import Description, Interface
 from cosim.errors import Location
 from cosim.plan import AgentPlan, ControlPlan, CouplingPlan, Integrator, Loop, Method
@@ -13,7 +14,6 @@ from cosim.planning.steps import choose_step, own_steps, plan_parts
 from cosim.scenario.reading import AgentEntry
 from cosim.scenario.source import Node
 from cosim.scenario.spec import CouplingSpec
-from cosim.wiring import AlgebraicLoop
 from network.units import format_duration
 
 _ABSOLUTE_TOLERANCE = 1e-10

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from cosim.agents.step_control import StepAccount
 from cosim.reporting.words import NOTHING, Rows, number
 from cosim.results import Results
 from cosim.scenario.names import in_short
-from cosim.step_control import StepAccount
 from cosim.theory import mu, published_bound
 from cosim.topology import kappa, reached_by, roots
 from network.units import to_seconds

@@ -14,7 +14,7 @@ from cosim.reporting import findings, network, page
 from cosim.reporting.meanwhile import AFTER_S, meanwhile_table
 from cosim.reporting.words import NOTHING
 from cosim.results import load
-from cosim.stopping import StopRequest
+from cosim.running.stopping import StopRequest
 
 if TYPE_CHECKING:
     from cosim.reporting.figures import Scene

@@ -10,8 +10,8 @@ import pytest
 from scipy.linalg import expm
 
 from cosim.errors import CosimError
-from cosim.estimation import Estimate
-from cosim.inline import run
+from cosim.running.estimation import Estimate
+from cosim.running.inline import run
 from network.messages import Fates
 from tests.components.misbehaving import cosim, digest
 from tests.distributed.networks import planned

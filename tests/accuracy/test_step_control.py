@@ -15,12 +15,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fmus
+from cosim.agents.memory import LoopMemory
+from cosim.agents.step_control import Saved, StepAccount
 from cosim.components.component import Component, Floats, Interface
 from cosim.components.fmu import describe, open_fmu
 from cosim.errors import RunError
-from cosim.inline import run
-from cosim.memory import LoopMemory
-from cosim.step_control import Saved, StepAccount
+from cosim.running.inline import run
 from tests.accuracy.coupled_oscillators import SPLITS, Oscillators, build_models, error
 from tests.accuracy.test_estimate import SCENARIO, exact
 from tests.components.misbehaving import cosim, digest

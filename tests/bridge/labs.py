@@ -10,12 +10,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cosim import inline
 from cosim.bridge import Bridge, Taken, open_bridge, recorded
 from cosim.distributed import cluster
 from cosim.plan import Plan
 from cosim.planning import load
 from cosim.recording.recorder import Recorder
+from cosim.running import inline
 
 OUTSIDE = Path(__file__).with_name("outside.py")
 DEADLINE = 30.0

@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim import inline
 from cosim.bridge import Taken
+from cosim.running import inline
 from tests.distributed.loopback import Loopback
 from tests.distributed.networks import Record, planned
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from cosim.check import describe
 from cosim.errors import ConfigError, Severity
 from cosim.plan import Plan
+from cosim.running.check import describe
 from tests.bridge.labs import planned
 
 HEAD = """\

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import yaml
 
-from cosim import inline
 from cosim.errors import ConfigError, RunError
 from cosim.plan import Loop, Method, Plan
+from cosim.running import inline
 from tests.components.probe import description2, description3, with_indicator, write_fmu
 from tests.distributed.networks import planned
 

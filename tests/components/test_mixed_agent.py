@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 import fmus
+from cosim.agents.coupling import PythonLoop
+from cosim.agents.mailbox import Updates
+from cosim.agents.memory import LoopMemory
+from cosim.agents.wiring import wire
 from cosim.components.component import Floats
 from cosim.components.opening import describe, open_components
 from cosim.components.python import Input, Output, PythonComponent, State
-from cosim.coupling import PythonLoop
-from cosim.mailbox import Updates
-from cosim.memory import LoopMemory
 from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, Integrator, MailboxPlan, Method, Port
-from cosim.wiring import wire
 from network.messages import MessageLayout
 
 T_NS = 100_000_000

@@ -22,12 +22,12 @@ import pytest
 from fmpy.util import validate_signal
 from scipy.integrate import solve_ivp
 
-from cosim import inline
 from cosim.components.fmu import describe
 from cosim.errors import ConfigError, RunEndedError
 from cosim.fmu_commands import stub
 from cosim.plan import Plan
 from cosim.planning import load
+from cosim.running import inline
 from tests.distributed.networks import planned
 
 FOLDER = os.environ.get("NETCOSIM_REFERENCE_FMUS", "")

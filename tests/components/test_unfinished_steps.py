@@ -10,7 +10,7 @@ import pytest
 from cosim.components.component import Interface
 from cosim.components.fmu import FmuComponent, component, describe, open_fmu
 from cosim.errors import ComponentError, DiscardedStepError
-from cosim.inline import run
+from cosim.running.inline import run
 from tests.accuracy.test_step_control import Accounted
 from tests.components.probe import description2, description3, write_fmu
 from tests.distributed.networks import planned

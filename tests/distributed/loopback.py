@@ -11,8 +11,8 @@ from cosim.distributed.assignment import EMULATOR, Job, Share, divide, renamed
 from cosim.distributed.orchestration import Orchestration
 from cosim.distributed.replacement import Moment
 from cosim.distributed.serving import Machine, machine, send
-from cosim.inline import Observer, Take
 from cosim.plan import Plan
+from cosim.running.inline import Observer, Take
 from network.transport import InMemoryEndpoint, InMemoryNetwork, Kind, PeerLost, Tamper, TransportTimeout
 
 

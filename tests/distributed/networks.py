@@ -9,9 +9,9 @@ from tempfile import TemporaryDirectory
 
 from hypothesis import strategies as st
 
-from cosim import inline
 from cosim.plan import Plan
 from cosim.planning import plan
+from cosim.running import inline
 from cosim.scenario.reading import read_scenario
 from network.messages import Fates, Floats
 from tests.network.networks import COLUMNS

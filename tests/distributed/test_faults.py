@@ -24,7 +24,7 @@ from cosim.distributed.assignment import divide
 from cosim.distributed.standing import Standing, waits
 from cosim.distributed.survey import Lost
 from cosim.errors import ClusterError, RunError
-from cosim.pacing import Pacer
+from cosim.running.pacing import Pacer
 from network.envelope import Streams
 from network.transport import Kind
 from tests.components.probe import FAILS

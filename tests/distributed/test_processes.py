@@ -17,7 +17,7 @@ import pytest
 
 from cosim.distributed import cluster
 from cosim.errors import ClusterError
-from cosim.inline import Interrupted
+from cosim.running.inline import Interrupted
 from tests.distributed.networks import Record, in_process, planned, ring, scenario
 from tests.distributed.processes import (
     At,

@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import fmus
+from cosim.agents.coupling import PythonLoop
+from cosim.agents.mailbox import Mailboxes
+from cosim.agents.memory import LoopMemory
+from cosim.agents.wiring import wire
 from cosim.components.component import Component, Value, Variable, head
 from cosim.components.opening import describe, open_components
-from cosim.coupling import PythonLoop
 from cosim.kernel import Member, NativeBlock
-from cosim.mailbox import Mailboxes
-from cosim.memory import LoopMemory
 from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, Integrator, MailboxPlan, Method, Port
-from cosim.wiring import wire
 from network.messages import Mail, MessageLayout
 
 T_NS = 100_000_000
@@ -129,7 +129,7 @@ class LiveAgent:
             raise failed.error
 
     def end(self) -> None:
-        """End the components, as `cosim.agents.Agents` does."""
+        """End the components, as `cosim.agents.group.Agents` does."""
         if self._block is not None:
             self._block.end()
         for component in self.components:

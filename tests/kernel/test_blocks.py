@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cosim.agents import Agents
+from cosim.agents.group import Agents
 from cosim.errors import RunError
 from cosim.plan import Integrator, Loop, Method
 from fmus import build

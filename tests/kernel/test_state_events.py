@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.crossings import crossed, first_crossing
+from cosim.agents.crossings import crossed, first_crossing
 from cosim.plan import AgentPlan, ComponentPlan, CouplingPlan, Integrator, Method
 from network.messages import MessageLayout
 from tests.components.probe import description2, description3, with_indicator, write_fmu

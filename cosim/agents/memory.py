@@ -20,7 +20,7 @@ class LoopState:
         previous: (n_signals,) signals at the start of the previous micro step (`midpoint`).
         steps: (2,) length of the previous micro step in seconds (`midpoint`) or, after a state event, the longest that
             the next may be, in whole nanoseconds (`joint`; 0 for any); and proposed length of the next one, in seconds
-            (`dormand-prince`) or whole nanoseconds (`cosim.step_control`); 0 before the first.
+            (`dormand-prince`) or whole nanoseconds (`cosim.agents.step_control`); 0 before the first.
         next_event: (n_components,) time of each component's next time event in seconds, infinity for none.
         time: (1,) the time reached, for error messages.
     """

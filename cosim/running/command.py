@@ -15,6 +15,7 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
+from cosim.agents.step_control import StepAccount, manifest
 from cosim.bridge import Bridge, open_bridge, recorded
 from cosim.components.component import Floats
 from cosim.errors import (
@@ -27,17 +28,16 @@ from cosim.errors import (
     RunEndedError,
     RunError,
 )
-from cosim.estimation import Estimate
-from cosim.inline import Interrupted, Observer, Take, run
 from cosim.logs import LOG_FOLDER, Logs
 from cosim.native_output import captured
-from cosim.pacing import Overrun, Pacer, precise_timers
 from cosim.plan import Plan
-from cosim.progress import Disagreement, Progress, say
 from cosim.recording.recorder import Recorder
-from cosim.step_control import StepAccount, manifest
-from cosim.stopping import StopRequest
-from cosim.watching import Watch
+from cosim.running.estimation import Estimate
+from cosim.running.inline import Interrupted, Observer, Take, run
+from cosim.running.pacing import Overrun, Pacer, precise_timers
+from cosim.running.progress import Disagreement, Progress, say
+from cosim.running.stopping import StopRequest
+from cosim.running.watching import Watch
 from network.messages import Fates
 
 
@@ -56,8 +56,8 @@ def main(args: argparse.Namespace) -> int:
     Raises:
         CosimError: a mistake in the scenario, or a run that failed; what was computed until then is on disk.
     """
-    from cosim import check
     from cosim.planning import load
+    from cosim.running import check
 
     settings = list(args.set or ())
     if args.on_worker_loss is not None:

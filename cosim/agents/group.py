@@ -15,17 +15,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.agent import Agent
+from cosim.agents.agent import Agent
+from cosim.agents.mailbox import Mailboxes, Updates
+from cosim.agents.memory import LoopMemory
+from cosim.agents.step_control import StepAccount
+from cosim.agents.wiring import Wirings
 from cosim.attention import AGENT, TICK, Spot, idle
 from cosim.components.component import Component, Floats
 from cosim.components.opening import await_open, open_components, terminate
 from cosim.errors import ComponentError, RunError
 from cosim.logs import NO_LOGS, Logs
-from cosim.mailbox import Mailboxes, Updates
-from cosim.memory import LoopMemory
 from cosim.plan import AgentPlan, Loop, Plan
-from cosim.step_control import StepAccount
-from cosim.wiring import Wirings
 from network.messages import Ints, Mail
 
 if TYPE_CHECKING:

@@ -17,14 +17,14 @@ import numpy as np
 
 from cosim.components.component import Floats
 from cosim.errors import CosimError, RunEndedError
-from cosim.inline import run
 from cosim.plan import CouplingPlan, Plan
 from cosim.recording.columns import arriving_names
+from cosim.running.inline import run
 from network.messages import Fates
 from network.units import format_duration
 
 if TYPE_CHECKING:
-    from cosim.watching import Watch
+    from cosim.running.watching import Watch
 
 POOR = 0.01
 """An error of more than so much of a variable's range is worth a warning."""

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.errors import CosimError, OverrunError
-from cosim.pacing import SLICE_SECONDS, Overrun, Pacer, parse_factor
+from cosim.running.pacing import SLICE_SECONDS, Overrun, Pacer, parse_factor
 from tests.distributed.networks import planned, scenario
 
 PLAN = planned(scenario(1, []))  # T = 100 ms

@@ -18,12 +18,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim import inline
 from cosim.distributed import cluster
 from cosim.errors import ClusterError
-from cosim.inline import Interrupted, Observer
-from cosim.pacing import Pacer
 from cosim.plan import Plan
+from cosim.running import inline
+from cosim.running.inline import Interrupted, Observer
+from cosim.running.pacing import Pacer
 from network.messages import Floats
 from tests.distributed.loopback import Loopback
 from tests.distributed.networks import Record, in_process, planned, ring, scenario, scenarios

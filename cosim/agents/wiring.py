@@ -14,9 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.components.component import Component
-from cosim.plan import AgentPlan, Method, Port
-from cosim.transfers import (
+from cosim.agents.transfers import (
     Inputs,
     Key,
     Places,
@@ -27,6 +25,8 @@ from cosim.transfers import (
     target_of,
     unique,
 )
+from cosim.components.component import Component
+from cosim.plan import AgentPlan, Method, Port
 from network.messages import NEVER, MessageLayout
 
 

@@ -23,12 +23,12 @@ from typing import TYPE_CHECKING, NoReturn, Protocol, Self
 from cosim import scratch
 from cosim.attention import TICK, Spot, idle
 from cosim.errors import ConfigError, CosimError, RunError
+from cosim.running.stopping import REQUESTS, StopRequest, screen
 from cosim.spawning import signal_name
-from cosim.stopping import REQUESTS, StopRequest, screen
 from network.units import to_seconds
 
 if TYPE_CHECKING:
-    from cosim.agents import Agents
+    from cosim.agents.group import Agents
     from cosim.plan import AgentPlan
 
 LOOK_SECONDS = 0.25

@@ -8,7 +8,7 @@ the coupling's step. On a grid, for components that accept steps of one length o
 step. Over a micro step from t to t + h:
 
 - `joint`: all states are integrated together: Runge-Kutta 4, Dormand-Prince 5(4) or Euler. A step in which an event
-  indicator changes its sign is made again up to there (`cosim.crossings`).
+  indicator changes its sign is made again up to there (`cosim.agents.crossings`).
 - `jacobi`: every component steps with the others' outputs at t held.
 - `gauss-seidel`: in the file's order; a component sees the newest outputs, held.
 - `midpoint`: in the file's order. Outputs of components that step later are extrapolated to the middle of the step from
@@ -16,7 +16,7 @@ step. Over a micro step from t to t + h:
   with their outputs at t, the second with those at t + h: their mean is right to second order, and its own outputs at
   t + h see the inputs at t + h, so that direct feedthrough costs no order. It needs no optional FMI capability.
 
-With a tolerance, `cosim.step_control` chooses how long the steps of the last three are.
+With a tolerance, `cosim.agents.step_control` chooses how long the steps of the last three are.
 
 A component with a micro step of its own makes several in each of these steps, its inputs held.
 """
@@ -31,9 +31,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim import algebraic
-from cosim.components.component import Component, Floats
-from cosim.crossings import (
+from cosim.agents import algebraic
+from cosim.agents.crossings import (
     STATE_EVENTS_PER_STEP,
     bracket,
     cautious_step,
@@ -42,13 +41,14 @@ from cosim.crossings import (
     first_crossing,
     less_cautious,
 )
+from cosim.agents.mailbox import Updates
+from cosim.agents.memory import LoopState
+from cosim.agents.step_control import StepControl
+from cosim.agents.transfers import Direction, Transfer
+from cosim.agents.wiring import AlgebraicLoop, Wiring, takes_in_event_mode
+from cosim.components.component import Component, Floats
 from cosim.errors import ComponentError
-from cosim.mailbox import Updates
-from cosim.memory import LoopState
 from cosim.plan import CouplingPlan, Integrator, Method
-from cosim.step_control import StepControl
-from cosim.transfers import Direction, Transfer
-from cosim.wiring import AlgebraicLoop, Wiring, takes_in_event_mode
 from network.units import NANOSECONDS_PER_SECOND, to_seconds
 
 _SET = Direction.SET

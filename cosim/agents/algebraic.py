@@ -1,4 +1,4 @@
-"""Algebraic loops, outputs that depend directly on each other: `cosim.wiring` finds them, Newton's method solves them.
+"""Algebraic loops: outputs that depend directly on each other. `cosim.agents.wiring` finds them, Newton solves them.
 
 With the inputs set from y, the components say G(y); wanted is y = G(y). Derivatives are forward differences, so that
 nothing optional is asked of a component: in Continuous-Time Mode and in Event Mode inputs can be set and outputs read

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from cosim.agents.coupling import PythonLoop
+from cosim.agents.mailbox import Updates
+from cosim.agents.memory import LoopState
+from cosim.agents.step_control import StepAccount
+from cosim.agents.wiring import Wiring
 from cosim.components.component import Component, Floats
-from cosim.coupling import PythonLoop
 from cosim.errors import ComponentError, DiscardedStepError, EndRequestedError, RunEndedError, RunError
-from cosim.mailbox import Updates
-from cosim.memory import LoopState
 from cosim.plan import AgentPlan
-from cosim.step_control import StepAccount
-from cosim.wiring import Wiring
 from network.units import format_duration
 
 
@@ -23,7 +23,7 @@ class Agent:
     """The call order is `initialise`, then `take` and `advance` for every tick; at the end `terminate`.
 
     A native agent is advanced by `cosim.kernel.NativeBlock` instead, on the same state. What an agent publishes and
-    what is recorded of it are signals, which `cosim.agents` gathers.
+    what is recorded of it are signals, which `cosim.agents.group` gathers.
 
     Args:
         plan: what the agent consists of.

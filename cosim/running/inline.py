@@ -7,20 +7,20 @@ from contextlib import AbstractContextManager, nullcontext
 from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from cosim.agents import Agents
+from cosim.agents.group import Agents
+from cosim.agents.step_control import StepAccount
 from cosim.components.component import Floats
 from cosim.errors import NetworkError, RunEndedError
 from cosim.logs import NO_LOGS, Logs
 from cosim.master import Emulate, Master
-from cosim.pacing import Pacer
 from cosim.plan import Plan
-from cosim.step_control import StepAccount
+from cosim.running.pacing import Pacer
 from network.channel import ChannelError
 from network.emulator import Emulator
 from network.messages import Fates
 
 if TYPE_CHECKING:
-    from cosim.watching import Watch
+    from cosim.running.watching import Watch
 
 Take = Callable[[int], Mapping[int, Floats]]
 """The values from outside that are new at a tick, by subscription; see `cosim.bridge`."""

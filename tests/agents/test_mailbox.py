@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.mailbox import Mailboxes, Updates
+from cosim.agents.mailbox import Mailboxes, Updates
 from network.messages import NEVER, Mail
 
 PERIOD_NS = 100_000_000

@@ -24,11 +24,11 @@ from typing import Any
 
 import numpy as np
 
+from cosim.agents.memory import LoopState
+from cosim.agents.wiring import Wiring
 from cosim.components.component import Component, Floats
 from cosim.errors import ComponentError, DiscardedStepError
-from cosim.memory import LoopState
 from cosim.plan import ControlPlan, CouplingPlan, Method
-from cosim.wiring import Wiring
 from network.units import format_duration, to_seconds
 
 Step = Callable[[float, float], None]

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.components.component import Floats
-from cosim.pacing import Pacer
 from cosim.plan import Plan
+from cosim.running.pacing import Pacer
 from network.messages import Fates
 
 if TYPE_CHECKING:

@@ -113,9 +113,9 @@ def _linked(problem: Problem) -> str:
 def _run(args: argparse.Namespace) -> int:
     gc.disable()  # until it begins: a start creates much and drops nothing
     try:
-        from cosim import running
+        from cosim.running.command import main as run
 
-        return running.main(args)
+        return run(args)
     finally:
         gc.enable()
 
@@ -134,7 +134,8 @@ def _report(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace) -> int:
-    from cosim import check, planning
+    from cosim import planning
+    from cosim.running import check
 
     planned = planning.load(args.config, args.set, seed=args.seed, until=args.until)
     absent = check.open_all(planned.plan, args.step_deadline)
@@ -209,7 +210,8 @@ class _Version(argparse.Action):
 
 
 def _parser() -> argparse.ArgumentParser:
-    from cosim import cli_fmu, cli_ssp
+    from cosim.cli import fmu as cli_fmu
+    from cosim.cli import ssp as cli_ssp
 
     parser = argparse.ArgumentParser(
         prog="cosim",
@@ -331,7 +333,7 @@ def _add_channel(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def _add_keys(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    from cosim import cli_hosts
+    from cosim.cli import hosts as cli_hosts
 
     about = "make the keys with which processes on several hosts prove who they are"
     keys = commands.add_parser("keys", help=about, description=f"{about[0].upper()}{about[1:]}.")
@@ -358,7 +360,7 @@ def _add_keys(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 
 
 def _factor(text: str) -> Fraction:
-    from cosim.pacing import parse_factor
+    from cosim.running.pacing import parse_factor
 
     try:
         return parse_factor(text)
@@ -403,7 +405,7 @@ def _add_step_deadline(parser: argparse.ArgumentParser | argparse._ArgumentGroup
 
 
 def _add_hosts(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    from cosim import cli_hosts
+    from cosim.cli import hosts as cli_hosts
 
     serve = _command(
         commands, "serve", cli_hosts.serve, "run a scenario with an emulator and workers that are started by hand"

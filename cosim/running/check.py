@@ -14,16 +14,16 @@ from typing import TypeVar
 
 import numpy as np
 
-from cosim.agents import Agents
+from cosim.agents.group import Agents
 from cosim.errors import CosimError, Location, Problem, Severity
 from cosim.native_output import captured
 from cosim.plan import AgentPlan, ComponentPlan, CouplingPlan, Loop, Method, Plan
+from cosim.running.stopping import StopRequest
+from cosim.running.watching import Watch
 from cosim.scenario.names import in_short
 from cosim.scenario.source import dump_on_one_line
-from cosim.stopping import StopRequest
 from cosim.theory import mu, published_bound
 from cosim.topology import kappa, reached_by, roots
-from cosim.watching import Watch
 from network.units import format_duration, to_seconds
 
 Item = TypeVar("Item")
@@ -86,7 +86,7 @@ class _Printed:
         if text := b"".join(self._chunks).decode(errors="replace").strip():
             print(text, file=sys.stderr)
 
-    def keep(self, error: CosimError, *, in_order: bool) -> None:  # noqa: ARG002 - as of `cosim.watching.Record`
+    def keep(self, error: CosimError, *, in_order: bool) -> None:  # noqa: ARG002 - as of `cosim.running.watching.Record`
         self.show()
 
 

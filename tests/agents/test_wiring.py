@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cosim.agents.transfers import Direction
+from cosim.agents.wiring import AlgebraicLoopError, wire
 from cosim.components.component import Description, Interface, Variable
 from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, MailboxPlan, Method, Port
-from cosim.transfers import Direction
-from cosim.wiring import AlgebraicLoopError, wire
 from network.messages import MessageLayout
 
 DESCRIPTION = Description("M", "3.0", (Interface.MODEL_EXCHANGE,), {})

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.algebraic import UnsolvedError, solve
+from cosim.agents.algebraic import UnsolvedError, solve
 from cosim.components.component import Floats
 from cosim.components.python import Input, Output, Parameter, PythonComponent, State
 from cosim.plan import Loop

@@ -18,8 +18,8 @@ from typing import Any
 
 from cosim.components.component import Floats
 from cosim.errors import CosimError, OverrunError
-from cosim.lateness import Course, Durations
 from cosim.plan import Plan
+from cosim.running.lateness import Course, Durations
 from network.messages import Fates
 from network.units import NANOSECONDS_PER_SECOND, to_seconds
 

@@ -7,7 +7,7 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.lateness import POINTS, RESOLUTION, Course, Durations
+from cosim.running.lateness import POINTS, RESOLUTION, Course, Durations
 
 durations = st.lists(st.integers(0, 10**13), min_size=1, max_size=300)
 
