@@ -251,6 +251,14 @@ def _close_after(error: BaseException, recorder: Recorder) -> None:
         recorder.close(f"aborted: {reason.splitlines()[0]}")
     if isinstance(error, (RunError, ClusterError, NetworkError, OverrunError)):
         print(f"everything until then is in {recorder.folder}", file=sys.stderr)
+    if isinstance(error, RunError):
+        _point_to_logs(recorder)
+
+
+def _point_to_logs(recorder: Recorder) -> None:
+    """They may say more than the error does."""
+    if (recorder.place / LOG_FOLDER).exists():
+        print(f"what components logged and printed is in {recorder.folder / LOG_FOLDER}", file=sys.stderr)
 
 
 class _Record:
@@ -265,12 +273,12 @@ class _Record:
         folder = self.recorder.folder
         if in_order:
             _close_after(error, self.recorder)
-            if not isinstance(error, RunError):
-                print(f"everything until then is in {folder}", file=sys.stderr)
+            if isinstance(error, RunError):
+                return
+            print(f"everything until then is in {folder}", file=sys.stderr)
         else:
             print(f"`cosim report {folder}` saves what was computed until then", file=sys.stderr)
-        if (self.recorder.place / LOG_FOLDER).exists():
-            print(f"what components logged and printed is in {folder / LOG_FOLDER}", file=sys.stderr)
+        _point_to_logs(self.recorder)
 
 
 class _Summary:
