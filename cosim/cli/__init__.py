@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from cosim.cli.commands import command, main
+from cosim.cli.process import command, main
 
 __all__ = ["command", "main"]

@@ -1,0 +1,73 @@
+"""The process `cosim`: a command is run, its errors are printed, and it ends with an exit code."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from types import FrameType
+from typing import NoReturn
+
+from cosim.cli.parser import make_parser
+from cosim.cli.printing import print_problems
+from cosim.errors import ConfigError, CosimError
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; no error that a user can cause gives a traceback.
+
+    Args:
+        arguments: those of the process by default.
+
+    Returns:
+        The exit code.
+    """
+    args = make_parser().parse_args(arguments)
+    previous = signal.signal(signal.SIGTERM, _terminate)
+    try:
+        code: int = args.command(args)
+        sys.stdout.flush()
+    except ConfigError as error:
+        print_problems(error.problems)
+        return error.exit_code
+    except CosimError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:  # whoever read the output has seen enough
+        _drop_output()
+        return 0
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        _drop_output()
+        print(f"error: cannot write the output: {error.strerror}", file=sys.stderr)
+        return CosimError.exit_code
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+    return code
+
+
+def command() -> NoReturn:
+    """The process `cosim`: `main`, and its end."""
+    try:
+        code = main()
+    except SystemExit as asked:
+        code = asked.code if isinstance(asked.code, int) else 0
+    if "cosim.components.fmu.library" in sys.modules:
+        from cosim.spawning import leave
+
+        leave(code)
+    sys.exit(code)
+
+
+def _terminate(number: int, _: FrameType | None) -> NoReturn:
+    """End through Python, so that temporary folders are removed, with the code that the signal would have given."""
+    sys.exit(128 + number)
+
+
+def _drop_output() -> None:
+    """Nothing more can be written to standard output; without this, Python would try again at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
