@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from cosim.components.component import Interface
-from cosim.components.fmu import FmuComponent, component, describe, open_fmu
+from cosim.components.fmu import FmuComponent, describe, fmi2, open_fmu
 from cosim.errors import ComponentError, DiscardedStepError
 from cosim.running.inline import run
 from tests.accuracy.test_step_control import Accounted
@@ -103,7 +103,7 @@ def test_a_pending_step_that_fails(opened: Open, asynchronous: Path) -> None:
 
 
 def test_a_step_that_stays_pending(opened: Open, asynchronous: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(component, "PENDING_DEADLINE", 0.02)
+    monkeypatch.setattr(fmi2, "PENDING_DEADLINE", 0.02)
     with pytest.raises(ComponentError, match=r"returned Pending, and its step is not done after 0.02 s"):
         opened(asynchronous, "step_pending_forever").step(0.0, 0.01)
 

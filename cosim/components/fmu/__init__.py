@@ -10,7 +10,9 @@ from pathlib import Path
 
 from cosim.components.component import Description, Interface
 from cosim.components.fmu.archive import refuse
-from cosim.components.fmu.component import Fmi2Component, Fmi3Component, FmuComponent, Native
+from cosim.components.fmu.component import FmuComponent, Native
+from cosim.components.fmu.fmi2 import Fmi2Component
+from cosim.components.fmu.fmi3 import Fmi3Component
 from cosim.components.fmu.library import FOLDERS, LIBRARY_SUFFIX, PLATFORM, File, read
 from cosim.components.fmu.variables import fmi2_variables, fmi3_variables
 from cosim.errors import ComponentError

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import functools
-import time as clock
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,18 +14,13 @@ import numpy as np
 
 from cosim.components.component import Component, Description, Floats, Interface, Value, Variable
 from cosim.components.fmu.library import (
-    DO_STEP_STATUS,
-    LAST_SUCCESSFUL_TIME,
-    TERMINATED,
     File,
     FMICallException,
     Log,
-    fmi2_callbacks,
     open_library,
     status_name,
 )
 from cosim.components.fmu.values import FMI2_TYPES, FMI3_TYPES, Buffer
-from cosim.components.fmu.variables import fmi3_shape
 from cosim.components.start_values import start_values
 from cosim.errors import ComponentError, ConfigError, DiscardedStepError, EndRequestedError
 from cosim.logs import Sink, discard
@@ -41,12 +35,6 @@ SHORTEST = 1e-9
 """What an early return may leave of a step, as a part of it: nothing, but for rounding."""
 
 WARNING, DISCARD, FATAL, PENDING = 1, 2, 4, 5
-
-PENDING_DEADLINE = 60.0
-"""Seconds of wall time that an asynchronous step may take."""
-
-PENDING_PAUSE = 0.001
-"""Seconds between two questions whether it is done."""
 
 
 @dataclass(frozen=True)
@@ -319,213 +307,3 @@ def _memory(size: int) -> tuple[Floats, Any]:
     """Numbers, and a pointer to them."""
     vector = np.zeros(size)
     return vector, vector.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
-
-
-class Fmi2Component(FmuComponent):
-    """FMI 2.0."""
-
-    def __init__(
-        self, name: str, file: File, interface: Interface, description: Description, log: Sink = discard
-    ) -> None:
-        super().__init__(name, file, interface, description, log)
-        model = file.model
-        if interface is Interface.MODEL_EXCHANGE:
-            self._resize(model.numberOfContinuousStates, model.numberOfEventIndicators)
-
-    def _instantiate(self) -> None:
-        self._fmu.instantiate(callbacks=fmi2_callbacks(self.log))
-
-    def _set_strings(self, variable: Variable, values: ctypes.Array[ctypes.c_char_p]) -> None:
-        references = (ctypes.c_uint * len(variable.references))(*variable.references)
-        self._call("fmi2SetString", references, len(references), values)
-
-    def enter_initialization(self, start_time: float, stop_time: float) -> None:
-        self._call("fmi2SetupExperiment", *self._tolerance(), start_time, 1, stop_time)
-        self._call("fmi2EnterInitializationMode")
-
-    def exit_initialization(self) -> None:
-        self._call("fmi2ExitInitializationMode")
-        self._initialised = True
-
-    def _end(self, *, running: bool) -> None:
-        try:
-            if running:
-                self._fmu.fmi2Terminate(self._instance)
-        finally:
-            self._fmu.fmi2FreeInstance(self._instance)
-
-    def step(self, time: float, step: float) -> None:
-        self.require_usable()
-        try:
-            self._fmu.fmi2DoStep(self._instance, time, step, 0 if self.goes_back else 1)
-        except FMICallException as error:
-            if error.status != PENDING or not self.description.asynchronous:
-                raise self.failure("fmi2DoStep", error.status) from None
-            self._await_step()
-
-    def _await_step(self) -> None:
-        """Wait for an asynchronous step (FMI 2.0.5, section 4.2.2)."""
-        deadline = clock.monotonic() + PENDING_DEADLINE
-        while (status := self._fmu.getStatus(DO_STEP_STATUS)) == PENDING:
-            if clock.monotonic() > deadline:
-                self._usable = False  # it still works on its memory, which must not be freed
-                text = f"fmi2DoStep returned Pending, and its step is not done after {PENDING_DEADLINE:.3g} s"
-                raise ComponentError(self.name, text, self.log.last)
-            clock.sleep(PENDING_PAUSE)
-        if status > WARNING:
-            raise self.failure("fmi2DoStep", status)
-
-    def failure(self, function: str, status: int) -> ComponentError:
-        error = super().failure(function, status)
-        if isinstance(error, DiscardedStepError) and self._asks_for_the_end():
-            return self.stop_requested()
-        if status == PENDING:
-            text = f"{error.message}, although it declares that it does not step asynchronously (canRunAsynchronuously)"
-            return ComponentError(self.name, text, error.log)
-        return error
-
-    def _asks_for_the_end(self) -> bool:
-        with contextlib.suppress(FMICallException):
-            return bool(self._fmu.getBooleanStatus(TERMINATED))
-        return False
-
-    def _how_far(self) -> str:
-        with contextlib.suppress(FMICallException):
-            return f": it only got to t = {self._fmu.getRealStatus(LAST_SUCCESSFUL_TIME):.9g} s"
-        return ""
-
-    def set_time(self, time: float) -> None:
-        self._call("fmi2SetTime", time)
-
-    def get_states(self) -> Floats:
-        return self._get_vector("fmi2GetContinuousStates")
-
-    def set_states(self, states: Floats) -> None:
-        self._set_vector("fmi2SetContinuousStates", states)
-
-    def derivatives(self) -> Floats:
-        return self._get_vector("fmi2GetDerivatives")
-
-    def enter_event_mode(self) -> None:
-        self._call("fmi2EnterEventMode")
-
-    def _update_discrete_states(self) -> tuple[bool, bool, bool, bool, bool, float]:
-        result: tuple[bool, bool, bool, bool, bool, float] = self._fmu.newDiscreteStates()
-        return result
-
-    def enter_continuous_time_mode(self) -> None:
-        self._call("fmi2EnterContinuousTimeMode")
-
-
-class Fmi3Component(FmuComponent):
-    """FMI 3.0; structural parameters are set in Configuration Mode."""
-
-    def __init__(
-        self, name: str, file: File, interface: Interface, description: Description, log: Sink = discard
-    ) -> None:
-        self.uses_events = interface is Interface.CO_SIMULATION and bool(file.implementations[interface].hasEventMode)
-        super().__init__(name, file, interface, description, log)
-        self._file = file
-        self._structural: dict[str, int] = {}
-        self._count_states()
-
-    def _count_states(self) -> None:
-        if self.interface is Interface.MODEL_EXCHANGE:
-            model = self._file.model
-            self._resize(self._size(model.derivatives), self._size(model.eventIndicators))
-
-    def _size(self, unknowns: Sequence[Any]) -> int:
-        shapes = (fmi3_shape(unknown.variable, self._structural) for unknown in unknowns)
-        return sum(int(np.prod(shape, dtype=np.int64)) for shape in shapes)
-
-    def _instantiate(self) -> None:
-        log = self.log
-        events = {"eventModeUsed": True, "earlyReturnAllowed": True} if self.uses_events else {}
-        self._fmu.instantiate(logMessage=lambda _environment, status, _category, text: log.add(status, text), **events)
-
-    def _start(self, variable: Variable, values: list[Any]) -> None:
-        if variable.causality != "structuralParameter":
-            super()._start(variable, values)
-            return
-        self._call("fmi3EnterConfigurationMode")
-        super()._start(variable, values)
-        self._call("fmi3ExitConfigurationMode")
-        self._structural[variable.name] = values[0]
-        self._count_states()
-
-    def _set_strings(self, variable: Variable, values: ctypes.Array[ctypes.c_char_p]) -> None:
-        references = (ctypes.c_uint * len(variable.references))(*variable.references)
-        self._call("fmi3SetString", references, len(references), values, len(values))
-
-    def _set_binaries(self, variable: Variable, values: Sequence[bytes]) -> None:
-        references = (ctypes.c_uint * len(variable.references))(*variable.references)
-        sizes = (ctypes.c_size_t * len(values))(*map(len, values))
-        memory = [ctypes.create_string_buffer(value, max(len(value), 1)) for value in values]
-        byte_pointer = ctypes.POINTER(ctypes.c_uint8)
-        pointers = (byte_pointer * len(values))(*(ctypes.cast(piece, byte_pointer) for piece in memory))
-        self._call("fmi3SetBinary", references, len(references), sizes, pointers, len(values))
-
-    def enter_initialization(self, start_time: float, stop_time: float) -> None:
-        self._call("fmi3EnterInitializationMode", *self._tolerance(), start_time, True, stop_time)
-
-    def exit_initialization(self) -> None:
-        self._call("fmi3ExitInitializationMode")
-        self._initialised = True
-
-    def _end(self, *, running: bool) -> None:
-        try:
-            if running:
-                self._fmu.fmi3Terminate(self._instance)
-        finally:
-            self._fmu.fmi3FreeInstance(self._instance)
-
-    def step(self, time: float, step: float) -> None:
-        start, end, length = time, time + step, step
-        for _ in range(EVENTS_PER_STEP):
-            needed, early, reached = self._step_once(start, length)
-            if needed and self.uses_events:
-                self.enter_event_mode()
-                self.update_discrete_states()
-                self.enter_step_mode()
-            if not early or (self.uses_events and end - reached <= SHORTEST * step):
-                return
-            if not self.uses_events:
-                raise self.early_return(reached)
-            start, length = reached, end - reached
-        raise self.too_many_events()
-
-    def _step_once(self, time: float, step: float) -> tuple[bool, bool, float]:
-        """Whether events are to be handled, whether it returned early, and the time reached."""
-        self.require_usable()
-        try:
-            needed, stop, early, reached = self._fmu.doStep(time, step, not self.goes_back)
-        except FMICallException as error:
-            raise self.failure("fmi3DoStep", error.status) from None
-        if stop:
-            raise self.stop_requested()
-        return needed, early, reached
-
-    def enter_step_mode(self) -> None:
-        self._call("fmi3EnterStepMode")
-
-    def set_time(self, time: float) -> None:
-        self._call("fmi3SetTime", time)
-
-    def get_states(self) -> Floats:
-        return self._get_vector("fmi3GetContinuousStates")
-
-    def set_states(self, states: Floats) -> None:
-        self._set_vector("fmi3SetContinuousStates", states)
-
-    def derivatives(self) -> Floats:
-        return self._get_vector("fmi3GetContinuousStateDerivatives")
-
-    def enter_event_mode(self) -> None:
-        self._call("fmi3EnterEventMode")
-
-    def _update_discrete_states(self) -> tuple[bool, bool, bool, bool, bool, float]:
-        result: tuple[bool, bool, bool, bool, bool, float] = self._fmu.updateDiscreteStates()
-        return result
-
-    def enter_continuous_time_mode(self) -> None:
-        self._call("fmi3EnterContinuousTimeMode")
