@@ -6,6 +6,9 @@ import json
 import os
 import signal
 import struct
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +31,14 @@ def endpoint(tmp_path: Path) -> str:
     return f"unixsock-stream/{tmp_path / 'bridge'}"
 
 
+@contextmanager
+def heard(live: Live, tmp_path: Path, *more: str) -> Iterator[subprocess.Popen[str]]:
+    """The other program, once the run knows that it listens to the first two arms: what is said before is lost."""
+    with outside(endpoint(tmp_path), "1,2", *more) as process:
+        until(lambda: all(publisher.matching_status.matching for publisher in live._keys._publishers[:2]))
+        yield process
+
+
 class Answered:
     """Takes at every tick what the outside has answered to that very tick, for as many ticks as are wanted."""
 
@@ -43,7 +54,7 @@ class Answered:
 
 
 def closed_loop(plan: Plan, tmp_path: Path, out: Path, *, workers: int | None = None) -> str:
-    with Live(plan, refuse_nothing) as live, outside(endpoint(tmp_path), "1,2"):
+    with Live(plan, refuse_nothing) as live, heard(live, tmp_path):
         return play(plan, out, live, workers=workers, take=Answered(live))
 
 
@@ -79,7 +90,7 @@ def test_across_processes(tmp_path: Path) -> None:
 def test_bad_messages_are_refused_and_counted(tmp_path: Path) -> None:
     plan = planned(tmp_path, scenario(endpoint(tmp_path)))
     warnings: list[str] = []
-    with Live(plan, warnings.append) as live, outside(endpoint(tmp_path), "1,2", "bad"):
+    with Live(plan, warnings.append) as live, heard(live, tmp_path, "bad"):
         play(plan, tmp_path / "run", live, take=Answered(live))
         account = live.account()
     assert warnings == ["a message at 'lab/1/u' is refused: it has 1 number, not 2"]
@@ -102,7 +113,7 @@ def test_who_stops_reading_does_not_stop_the_run(tmp_path: Path) -> None:
     """The outside hears nothing any more; what it does not take is dropped."""
     text = scenario(endpoint(tmp_path)).replace(f"duration: {TICKS * 100} ms", "duration: 400 s")
     plan = planned(tmp_path, text)
-    with Live(plan, refuse_nothing) as live, outside(endpoint(tmp_path), "1,2") as process:
+    with Live(plan, refuse_nothing) as live, heard(live, tmp_path) as process:
         os.kill(process.pid, signal.SIGSTOP)
         play(plan, tmp_path / "run", live)
         assert live.account()[0] == f"{4 * 4001} messages published"
