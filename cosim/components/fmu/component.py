@@ -209,9 +209,17 @@ class FmuComponent(Component):
         raise NotImplementedError
 
     # --- life cycle -------------------------------------------------------------------------------------------------
-    @abstractmethod
+    def exit_initialization(self) -> None:
+        self._call(f"fmi{self._fmi}ExitInitializationMode")
+        self._initialised = True
+
     def _end(self, *, running: bool) -> None:
         """Terminate if running, then free the instance."""
+        try:
+            if running:
+                getattr(self._fmu, f"fmi{self._fmi}Terminate")(self._instance)
+        finally:
+            getattr(self._fmu, f"fmi{self._fmi}FreeInstance")(self._instance)
 
     def terminate(self) -> None:
         if self._usable:
@@ -263,6 +271,21 @@ class FmuComponent(Component):
         if self.n_states:
             vector[:] = values
             self._call(function, pointer, self.n_states)
+
+    def set_time(self, time: float) -> None:
+        self._call(f"fmi{self._fmi}SetTime", time)
+
+    def get_states(self) -> Floats:
+        return self._get_vector(f"fmi{self._fmi}GetContinuousStates")
+
+    def set_states(self, states: Floats) -> None:
+        self._set_vector(f"fmi{self._fmi}SetContinuousStates", states)
+
+    def enter_event_mode(self) -> None:
+        self._call(f"fmi{self._fmi}EnterEventMode")
+
+    def enter_continuous_time_mode(self) -> None:
+        self._call(f"fmi{self._fmi}EnterContinuousTimeMode")
 
     def update_discrete_states(self) -> float | None:
         for _ in range(DISCRETE_STATE_ITERATIONS):

@@ -48,17 +48,6 @@ class Fmi2Component(FmuComponent):
         self._call("fmi2SetupExperiment", *self._tolerance(), start_time, 1, stop_time)
         self._call("fmi2EnterInitializationMode")
 
-    def exit_initialization(self) -> None:
-        self._call("fmi2ExitInitializationMode")
-        self._initialised = True
-
-    def _end(self, *, running: bool) -> None:
-        try:
-            if running:
-                self._fmu.fmi2Terminate(self._instance)
-        finally:
-            self._fmu.fmi2FreeInstance(self._instance)
-
     def step(self, time: float, step: float) -> None:
         self.require_usable()
         try:
@@ -99,24 +88,9 @@ class Fmi2Component(FmuComponent):
             return f": it only got to t = {self._fmu.getRealStatus(LAST_SUCCESSFUL_TIME):.9g} s"
         return ""
 
-    def set_time(self, time: float) -> None:
-        self._call("fmi2SetTime", time)
-
-    def get_states(self) -> Floats:
-        return self._get_vector("fmi2GetContinuousStates")
-
-    def set_states(self, states: Floats) -> None:
-        self._set_vector("fmi2SetContinuousStates", states)
-
     def derivatives(self) -> Floats:
         return self._get_vector("fmi2GetDerivatives")
-
-    def enter_event_mode(self) -> None:
-        self._call("fmi2EnterEventMode")
 
     def _update_discrete_states(self) -> tuple[bool, bool, bool, bool, bool, float]:
         result: tuple[bool, bool, bool, bool, bool, float] = self._fmu.newDiscreteStates()
         return result
-
-    def enter_continuous_time_mode(self) -> None:
-        self._call("fmi2EnterContinuousTimeMode")

@@ -69,17 +69,6 @@ class Fmi3Component(FmuComponent):
     def enter_initialization(self, start_time: float, stop_time: float) -> None:
         self._call("fmi3EnterInitializationMode", *self._tolerance(), start_time, True, stop_time)
 
-    def exit_initialization(self) -> None:
-        self._call("fmi3ExitInitializationMode")
-        self._initialised = True
-
-    def _end(self, *, running: bool) -> None:
-        try:
-            if running:
-                self._fmu.fmi3Terminate(self._instance)
-        finally:
-            self._fmu.fmi3FreeInstance(self._instance)
-
     def step(self, time: float, step: float) -> None:
         start, end, length = time, time + step, step
         for _ in range(EVENTS_PER_STEP):
@@ -109,24 +98,9 @@ class Fmi3Component(FmuComponent):
     def enter_step_mode(self) -> None:
         self._call("fmi3EnterStepMode")
 
-    def set_time(self, time: float) -> None:
-        self._call("fmi3SetTime", time)
-
-    def get_states(self) -> Floats:
-        return self._get_vector("fmi3GetContinuousStates")
-
-    def set_states(self, states: Floats) -> None:
-        self._set_vector("fmi3SetContinuousStates", states)
-
     def derivatives(self) -> Floats:
         return self._get_vector("fmi3GetContinuousStateDerivatives")
-
-    def enter_event_mode(self) -> None:
-        self._call("fmi3EnterEventMode")
 
     def _update_discrete_states(self) -> tuple[bool, bool, bool, bool, bool, float]:
         result: tuple[bool, bool, bool, bool, bool, float] = self._fmu.updateDiscreteStates()
         return result
-
-    def enter_continuous_time_mode(self) -> None:
-        self._call("fmi3EnterContinuousTimeMode")
