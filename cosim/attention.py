@@ -36,11 +36,15 @@ class Spot:
         _, agent, component = attended.tolist()
         return cls(None if agent < 0 else agent, None if agent < 0 or component < 0 else component)
 
+    def names(self, agent: AgentPlan) -> str:
+        """That of the component; of all components of the agent if it is not known which."""
+        names = [component.name for component in agent.components]
+        return ", ".join(names) if self.component is None else names[self.component]
+
     def within(self, agent: AgentPlan) -> str:
-        """`agent 3, component plant`; all components of the agent if it is not known which."""
-        if self.component is not None:
-            return f"agent {agent.name}, component {agent.components[self.component].name}"
-        return f"agent {agent.name} ({', '.join(component.name for component in agent.components)})"
+        """`agent 3, component plant`, or `agent 3 (plant, controller)`."""
+        names = self.names(agent)
+        return f"agent {agent.name} ({names})" if self.component is None else f"agent {agent.name}, component {names}"
 
 
 NOWHERE = Spot()

@@ -201,11 +201,8 @@ class Agents:
     def failure(self, spot: Spot, text: str) -> RunError:
         """For a component that cannot raise anything itself; for all of the agent's if it is not known which."""
         agent = self._agents[spot.agent or 0]
-        if spot.component is None:
-            names = ", ".join(component.name for component in agent.components)
-            return agent.failure(ComponentError(names, text))
-        component = agent.components[spot.component]
-        return agent.failure(ComponentError(component.name, text, component.last_log))
+        log = None if spot.component is None else agent.components[spot.component].last_log
+        return agent.failure(ComponentError(spot.names(agent.plan), text, log))
 
     def accounts(self) -> list[StepAccount]:
         """What became of the steps of those agents whose steps are controlled."""

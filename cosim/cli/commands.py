@@ -15,9 +15,9 @@ def run(args: argparse.Namespace) -> int:
     """Run a scenario."""
     gc.disable()  # until it begins: a start creates much and drops nothing
     try:
-        from cosim.running.command import main as run
+        from cosim.running import command
 
-        return run(args)
+        return command.main(args)
     finally:
         gc.enable()
 

@@ -179,8 +179,7 @@ class Watch:
         if self.agents is not None:
             return self.agents.failure(spot, text)
         agent = self._plans[spot.agent]
-        names = [component.name for component in agent.components]
-        return RunError(agent.name, ", ".join(names) if spot.component is None else names[spot.component], 0.0, text)
+        return RunError(agent.name, spot.names(agent), 0.0, text)
 
     def _end(self, error: CosimError, code: int) -> NoReturn:
         in_order = self._at_record.acquire(timeout=PATIENCE_SECONDS)
