@@ -55,7 +55,9 @@ def command() -> NoReturn:
     try:
         code = main()
     except SystemExit as asked:
-        code = asked.code if isinstance(asked.code, int) else 0
+        if isinstance(asked.code, str):
+            raise
+        code = asked.code or 0
     if "cosim.components.fmu.library" in sys.modules:
         from cosim.spawning import leave
 

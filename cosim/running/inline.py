@@ -119,6 +119,8 @@ def run(  # noqa: PLR0917
         NetworkError: a channel of the user's own failed.
     """
     at_components = nullcontext() if watch is None else watch.at_components
+    if watch is not None:
+        watch.agents = None  # those of a run before
     with at_components:
         agents = Agents(plan, attended=None if watch is None else watch.attended, logs=logs)
     if watch is not None:
