@@ -439,15 +439,20 @@ class ZenohClient(ZenohEndpoint):
                 if reply.ok is not None:
                     self._welcomed(reply.ok.payload.to_bytes())
                     return
+            with self._changed:
+                unheard = self._hub_is_there
+            if unheard:
+                waiting(f"{HUB} of run {self._run} {self._unheard()}")
             time.sleep(_ASK_AGAIN)  # it has just gone, or may not hear us
 
     def _await_hub(self, deadline: float, waiting: Callable[[str], None]) -> None:
         while True:
             with self._changed:
                 left = deadline - time.monotonic()
-                if self._changed.wait_for(lambda: self._hub_is_there, min(left, _TRY)) and left > 0:
+                there = self._changed.wait_for(lambda: self._hub_is_there, min(left, _TRY))
+                if there and left > 0:
                     return
-            others = self._other_runs()
+            others = f"; it {self._unheard()}" if there else self._other_runs()
             if left <= 0:
                 raise TransportTimeout(
                     f"{self.name}: {HUB} of run {self._run} is not there, or does not answer{others}"
@@ -467,11 +472,14 @@ class ZenohClient(ZenohEndpoint):
                 continue
             *root, _, _, token = str(reply.ok.key_expr).split("/")
             if "/".join(root) == self._keys.root:
-                return f"; it is there, but does not hear {self.name}: are name and keys those of one of the run's?"
+                return f"; it {self._unheard()}"
             runs.append(root[-1] + (f" (namespace {root[1]})" if len(root) > 2 else ""))
             if token in routers:
                 raise Refused(f"{self.name} may not join run {self._run}: the orchestrator there plays run {runs[-1]}")
         return f"; there is run {', '.join(runs)}" if runs else ""
+
+    def _unheard(self) -> str:
+        return f"is there, but does not hear {self.name} (are name and keys those of one of the run's?)"
 
     def _welcomed(self, answer: bytes) -> None:
         try:

@@ -78,8 +78,11 @@ def test_nobody_says_anything_in_anothers_name(team: Path, run: str, hub: ZenohH
             hub.send("worker-2", Kind.GRANT, 0)
             owner.receive(PATIENCE).expect(Kind.GRANT, 0)
     for name in ("worker-2", "worker-3"):
-        with pytest.raises(TransportTimeout, match=f"it is there, but does not hear {name}: are name and keys"):
-            connect(run, name, hub.endpoints, settings=connecting(team / "worker-1"), timeout=1.5)
+        told: list[str] = []
+        settings = connecting(team / "worker-1")
+        with pytest.raises(TransportTimeout, match=f"it is there, but does not hear {name} .are name and keys"):
+            connect(run, name, hub.endpoints, settings=settings, timeout=3.0, waiting=told.append)
+        assert f"is there, but does not hear {name}" in told[0]  # not only at the end
 
 
 def test_nobody_reads_what_is_anothers(team: Path, run: str, hub: ZenohHub) -> None:
