@@ -132,7 +132,7 @@ def probes_scenario(probe: Path, fails: str) -> str:
 @pytest.mark.parametrize(
     ("fails", "said"),
     [
-        ("derivative_hangs", "did not get further for 1 s"),
+        ("derivative_hangs", "did not get further for 3 s"),
         ("derivative_crashes", "was killed by signal 11 (SIGSEGV)"),
     ],
 )
@@ -140,7 +140,7 @@ def test_native_code_that_hangs_or_crashes(fails: str, said: str, probes: dict[i
     """All agents of the worker are advanced by one native call: which one it is, is known all the same."""
     plan = planned(probes_scenario(probes[3], fails))
     with pytest.raises(ClusterError) as caught:
-        cluster.run(plan, 1, [Record()], step_deadline=1.0)
+        cluster.run(plan, 1, [Record()], step_deadline=3.0)
     lines = str(caught.value).splitlines()
     assert (
         lines[0] == f"worker-1 (agents 1..3) {said} at tick 3 (t = 0.3 s), while it advanced agent 2, component probe"

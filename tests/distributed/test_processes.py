@@ -182,8 +182,8 @@ def test_process_that_is_killed_from_outside_at_any_moment(name: str, scratch: P
 @pytest.mark.parametrize(
     ("fault", "deadline", "said"),
     [
-        ("Hanging", 0.5, "did not get further for 0.5 s"),
-        ("Stopped", 0.5, "is stopped by signal 19 (SIGSTOP)"),
+        ("Hanging", 3.0, "did not get further for 3 s"),
+        ("Stopped", 3.0, "is stopped by signal 19 (SIGSTOP)"),
         ("Stopped", 60.0, "is stopped by signal 19 (SIGSTOP)"),
         ("Exiting", 60.0, "ended with exit code 7"),
     ],

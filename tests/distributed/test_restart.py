@@ -152,7 +152,7 @@ def test_worker_that_does_not_go_on_once(
     monkeypatch.setenv("COSIM_TEST_FOLDER", str(scratch))
     text = lossy(faults={2: (f"Once{fault}", 10.05)})
     record, told = Record(), Told()
-    cluster.run(planned(text), 2, [record], tell=told, step_deadline=1.5)
+    cluster.run(planned(text), 2, [record], tell=told, step_deadline=4.0)
     assert record == undisturbed
     assert len(told.restarts) == 1
     assert told.restarts[0] | {"why": ""} == {

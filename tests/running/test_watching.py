@@ -53,10 +53,10 @@ def test_a_crash_is_told(probes: dict[int, Path], tmp_path: Path, fmi: int, loop
 def test_a_call_that_never_returns_ends_at_the_deadline(probes: dict[int, Path], tmp_path: Path, loop: str) -> None:
     method, kind = LOOPS[loop]
     text = scenario(probes[3], "derivative_hangs" if method == "joint" else "step_hangs", method=method)
-    arguments = ("--no-report", "--step-deadline", "1 s", "--set", f"coupling.loop={kind}")
+    arguments = ("--no-report", "--step-deadline", "3 s", "--set", f"coupling.loop={kind}")
     done = cosim(tmp_path, "run", "net.yaml", "--out", "out", *arguments, text=text)
     assert done.returncode == 3
-    said = r"error: agent bad, component probe, at t = 0\.3\d* s: has not returned for 1 s; --step-deadline gives"
+    said = r"error: agent bad, component probe, at t = 0\.3\d* s: has not returned for 3 s; --step-deadline gives"
     assert re.search(f"^{said}", done.stderr, re.MULTILINE), done.stderr
     left(tmp_path, 3)
 
