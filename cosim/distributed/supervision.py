@@ -28,8 +28,11 @@ Tell: TypeAlias = Callable[[str, Mapping[str, Any] | None], None]
 _START_SECONDS = 60.0
 _START_SECONDS_PER_AGENT = 0.1
 _WATCH_SECONDS = 0.02
+_FIRST_ASK_SECONDS = 0.1
+"""After so long without progress, everybody is asked how far they are: what they had got to by then is no progress
+later, and a message that was lost is noticed."""
 _ASK_SECONDS = 0.5
-"""After so long without progress, everybody is asked how far they are: a message that was lost is noticed."""
+"""How often they are asked from then on."""
 _ANSWER_SECONDS = 0.2
 """Whoever has not answered after so long is at work, stopped, or cut off."""
 _TELL_SECONDS = 5.0
@@ -142,7 +145,7 @@ class Supervisor:
             elif overdue and asked > since and (answered or now - asked > _ANSWER_SECONDS):
                 self._hang()
                 since = time.monotonic()
-            elif answered or now - max(since, asked) > _ASK_SECONDS or (overdue and asked <= since):
+            elif answered or (now - asked > _ASK_SECONDS if asked > since else now - since > _FIRST_ASK_SECONDS):
                 if not self._find_lost_message():
                     send(self._hub, orchestration.ask())
                 asked = now
