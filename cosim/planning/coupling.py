@@ -113,7 +113,7 @@ def _control(
         return None
     components = entry.spec.components.values()
     rollback = all(x.can_get_and_set_state and not x.asynchronous for x in descriptions.values()) and all(
-        component.isolate is None and component.solver is None for component in components
+        component.solver is None for component in components
     )
     return ControlPlan(
         relative_tolerance=spec.tolerance,

@@ -69,9 +69,10 @@ def test_other_failures_are_not_tried_again(opened: Open, probes: dict[int, Path
         opened(probes[fmi], "step_error").step_in_halves(0.0, 0.01, 5)
 
 
+@pytest.mark.parametrize("isolate", ["", ", isolate: true"])
 @pytest.mark.parametrize(("fmi", "capability"), [(2, "canGetAndSetFMUstate"), (3, "canGetAndSetFMUState")])
 def test_step_control_makes_a_discarded_step_shorter(
-    fmi: int, capability: str, probe_library: Path, tmp_path: Path
+    fmi: int, capability: str, isolate: str, probe_library: Path, tmp_path: Path
 ) -> None:
     """The probe makes steps up to 3 ms; a step of the control is two of half the length, but also one of the whole."""
     text = description2() if fmi == 2 else description3()
@@ -79,7 +80,7 @@ def test_step_control_makes_a_discarded_step_shorter(
     path = write_fmu(tmp_path / "probe.fmu", probe_library, text)
     plan = planned(
         "period: 100 ms\nduration: 500 ms\nagents:\n  1:\n"
-        f"    components: {{probe: {{fmu: {path}, start: {{fails: step_discards_long}}}}}}\n"
+        f"    components: {{probe: {{fmu: {path}, start: {{fails: step_discards_long}}{isolate}}}}}\n"
         "    record: [probe.x]\ncoupling: {method: midpoint, tolerance: 1e-6}\n"
     )
     seen = Accounted()

@@ -50,6 +50,9 @@ class Call(IntEnum):
     ENTER_STEP_MODE = 12
     STEP_IN_HALVES = 13
     TERMINATE = 14
+    SAVE = 15
+    RESTORE = 16
+    FORGET = 17
     GET = 20
     GET_STATES = 21
     DERIVATIVES = 22

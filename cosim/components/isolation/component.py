@@ -19,7 +19,7 @@ from cosim.components.isolation.calls import (
 )
 from cosim.components.isolation.process import HostProcess
 from cosim.components.presented import own_starts
-from cosim.errors import ComponentError, ConfigError, EndRequestedError, Problem
+from cosim.errors import ComponentError, ConfigError, DiscardedStepError, EndRequestedError, Problem
 from cosim.logs import Sink
 from cosim.plan import ComponentPlan
 from network.units import to_seconds
@@ -59,6 +59,7 @@ class IsolatedComponent(Component):
         self._follows: dict[int, int] = {}
         self._known: dict[int, Floats] = {}
         self._last_read: int | None = None
+        self._n_saved = 0
         self._failed = False
         try:
             self._process = HostProcess(log)
@@ -121,6 +122,22 @@ class IsolatedComponent(Component):
             self._process.kill()
         else:
             self._process.end()
+
+    # --- saved states -----------------------------------------------------------------------------------------------
+    # They stay there, and are known by numbers.
+    def save(self) -> object:
+        self._n_saved += 1
+        self._add(call(Call.SAVE, values=(self._n_saved,)))
+        return self._n_saved
+
+    def restore(self, saved: object) -> None:
+        assert isinstance(saved, int)
+        self._add(call(Call.RESTORE, values=(saved,)))
+
+    def forget(self, saved: object) -> None:
+        assert isinstance(saved, int)
+        if not self._failed:
+            self._add(call(Call.FORGET, values=(saved,)))
 
     # --- Co-Simulation ----------------------------------------------------------------------------------------------
     def step(self, time: float, step: float) -> None:
@@ -248,7 +265,7 @@ class IsolatedComponent(Component):
         if tree.get("file"):
             return ConfigError([Problem(f"component {self.name}: {tree['message']}")])
         log = tree.get("log")
-        kind = EndRequestedError if tree.get("ends") else ComponentError
+        kind = _KINDS.get(str(tree.get("kind")), ComponentError)
         return kind(self.name, str(tree["message"]), None if log is None else str(log))
 
     def _gone(self) -> ComponentError:
@@ -261,6 +278,10 @@ class IsolatedComponent(Component):
         self._failed = True
         self._process.kill()
         return ComponentError(self.name, f"its process says what it must not: {what}", self._process.last_lines)
+
+
+_KINDS: Mapping[str, type[ComponentError]] = {kind.__name__: kind for kind in (DiscardedStepError, EndRequestedError)}
+"""What went wrong and leaves the component usable."""
 
 
 def _opening(plan: ComponentPlan, interface: Interface) -> dict[str, Any]:

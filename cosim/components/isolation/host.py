@@ -31,7 +31,7 @@ from cosim.components.isolation.calls import (
     calls,
     result,
 )
-from cosim.errors import ComponentError, ConfigError, CosimError, EndRequestedError
+from cosim.errors import ComponentError, ConfigError, CosimError
 from cosim.native_output import print_by_lines
 
 _NOTHING = np.empty(0)
@@ -43,6 +43,7 @@ class Host:
     def __init__(self) -> None:
         self._opened: Component | None = None
         self._variables: list[Variable] = []
+        self._saved: dict[int, object] = {}
 
     def carry_out(self, count: int, body: bytes) -> tuple[int, bytes]:
         """The count and the body of the reply to a request.
@@ -80,9 +81,24 @@ class Host:
             return component.get(self._variables[variable])
         elif what is Call.START:
             component.start(self._variables[variable], content["values"])
+        elif what in _OF_STATES:
+            self._keep(component, what, int(content[0]))
         else:
             return _OTHERS[what](component, content)
         return None
+
+    def _keep(self, component: Component, what: Call, number: int) -> None:
+        """Save the component's state under a number, go back to one, or forget it."""
+        if what is Call.SAVE:
+            self._saved[number] = component.save()
+        elif what is Call.RESTORE:
+            component.restore(self._saved[number])
+        else:
+            component.forget(self._saved.pop(number))
+        component.goes_back = bool(self._saved)
+
+
+_OF_STATES = frozenset({Call.SAVE, Call.RESTORE, Call.FORGET})
 
 
 def _sizes(component: Component, _: Floats) -> Floats:
@@ -174,8 +190,7 @@ def _reply(host: Host, count: int, body: bytes) -> tuple[int, bytes]:
     try:
         return host.carry_out(count, body)
     except ComponentError as error:
-        ends = isinstance(error, EndRequestedError)
-        tree: dict[str, Any] = {"message": error.message, "log": error.log, "ends": ends}
+        tree: dict[str, Any] = {"message": error.message, "log": error.log, "kind": type(error).__name__}
     except ConfigError as error:
         tree = {"message": "; ".join(problem.message for problem in error.problems), "log": host.log, "file": True}
     except (CosimError, Exception) as error:
