@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import io
 import os
+import select
 import sys
 import threading
 from collections.abc import Iterator
@@ -16,22 +17,54 @@ from cosim.logs import Sink
 from cosim.scratch import holds
 
 _CHUNK = 1 << 16
-_DRAIN_SECONDS = 2.0
+_LOOK_SECONDS = 0.5
+_DRAIN_SECONDS = 60.0
 _BY_LINE = 1  # _IOLBF of glibc, musl and macOS
 
 
-def pump(descriptor: int, sink: Sink) -> threading.Thread:
-    """A thread that hands over what arrives at a pipe, until all who write to it have closed it; then it closes it."""
+class Pump:
+    """A thread that hands over what arrives at a pipe, until all who write to it have closed it; then it closes it.
 
-    def work() -> None:
+    Args:
+        descriptor: of the pipe's end to read from.
+        sink: takes what arrives.
+    """
+
+    def __init__(self, descriptor: int, sink: Sink) -> None:
+        self._descriptor = descriptor
+        self._sink = sink
+        self._leaving = False
+        self._drained = threading.Event()
+        threading.Thread(target=self._work, name="log", daemon=True).start()
+
+    def drain(self) -> None:
+        """Wait until all is handed over that has been written so far, however long the disk takes.
+
+        A process that native code started may have the pipe for longer; it is not waited for.
+        """
+        self._leaving = True
+        if not self._drained.wait(_DRAIN_SECONDS):
+            print(
+                f"warning: what FMUs printed last is lost: it could not be written within {_DRAIN_SECONDS:g} s",
+                file=sys.stderr,
+            )
+
+    def _work(self) -> None:
+        poll = select.poll()
+        poll.register(self._descriptor)
         with suppress(OSError):
-            while data := os.read(descriptor, _CHUNK):
-                sink(data)
-        os.close(descriptor)
-
-    thread = threading.Thread(target=work, name="log", daemon=True)
-    thread.start()
-    return thread
+            while True:
+                leaving = self._leaving  # looked at first: what was written before is then in the pipe
+                if not poll.poll(_LOOK_SECONDS * 1e3):
+                    if leaving:
+                        self._drained.set()
+                    continue
+                data = os.read(self._descriptor, _CHUNK)
+                if not data:
+                    break
+                self._sink(data)
+        os.close(self._descriptor)
+        self._drained.set()
 
 
 @contextmanager
@@ -50,7 +83,7 @@ def captured(sink: Sink) -> Iterator[None]:
     for number in (1, 2):
         os.dup2(writing, number)
     os.close(writing)
-    thread = pump(reading, sink)
+    pump = Pump(reading, sink)
     for name, stream in streams.items():
         setattr(sys, name, stream)
     try:
@@ -63,7 +96,7 @@ def captured(sink: Sink) -> Iterator[None]:
             setattr(sys, name, stream)
         for kept in saved:
             os.close(kept)
-        thread.join(_DRAIN_SECONDS)  # longer only if a process that native code started still has the pipe
+        pump.drain()
 
 
 def _moved(stream: io.TextIOBase, saved: list[int]) -> io.TextIOBase:

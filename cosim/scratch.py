@@ -15,7 +15,7 @@ if sys.platform != "win32":  # there an open file cannot be removed: a killed pr
 _PREFIX = "cosim-"
 _LOCK = "lock"
 _own: dict[str, Scratch] = {}
-"""By path, with a slash at the end, all that this process made, or the one whose fork it is."""
+"""By path, with a slash at the end, all that this process, or the one whose fork it is, made and has not removed."""
 
 
 def holds(path: str) -> bool:
@@ -44,6 +44,7 @@ class Scratch:
     def remove(self) -> None:
         """Remove the folder, as far as it is still there."""
         self._lock.close()
+        _own.pop(f"{self.path}{os.sep}", None)
         shutil.rmtree(self.path, ignore_errors=True)
 
     def __enter__(self) -> Path:
@@ -55,7 +56,7 @@ class Scratch:
 
 def remove_all() -> None:
     """Remove the folders of this process, which is about to end at once."""
-    for scratch in _own.values():
+    for scratch in list(_own.values()):
         if scratch._process == os.getpid():
             scratch.remove()
 

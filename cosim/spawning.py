@@ -1,19 +1,38 @@
-"""What processes that this one starts have in common: where they look for modules, and how their end reads."""
+"""What processes that this one starts have in common: where they look for modules, how they end, how that reads."""
 
 from __future__ import annotations
 
 import atexit
 import os
 import signal
+import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn
 
+_DEATH_SECONDS = 10.0
+
 
 def search_path() -> str:
     """For `PYTHONPATH`: they search for modules where this process does."""
     return os.pathsep.join(entry or str(Path.cwd()) for entry in sys.path)
+
+
+def await_death(process: subprocess.Popen[bytes], what: str) -> None:
+    """Wait for the end of a process that was killed.
+
+    One that waits for a device or a file system ends when that answers, which may be never: it is left behind, and the
+    user is told.
+    """
+    try:
+        process.wait(_DEATH_SECONDS)
+    except subprocess.TimeoutExpired:
+        print(
+            f"warning: {what} (process {process.pid}) was killed, but has not ended within {_DEATH_SECONDS:g} s: "
+            "it waits for a device or a file system, and ends when that answers",
+            file=sys.stderr,
+        )
 
 
 def how_it_ended(code: int) -> str:

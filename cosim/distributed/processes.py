@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from cosim.distributed import whereabouts
 from cosim.distributed.inheritance import EXIT_ORPHANED
 from cosim.distributed.replacement import Moment
 from cosim.errors import ClusterError
-from cosim.spawning import how_it_ended, search_path, signal_name
+from cosim.spawning import await_death, how_it_ended, search_path, signal_name
 
 _EXIT_SECONDS = 1.0
 _STOPPED_SECONDS = 2.0
@@ -99,7 +99,7 @@ class Processes:
     def dismiss(self, name: str) -> None:
         """Kill a process, if it has not ended, and forget it."""
         self._stopped_since.pop(name, None)
-        _end([self._running.pop(name)])
+        _end({name: self._running.pop(name)})
 
     def await_all(self, seconds: float, but: Collection[str] = ()) -> None:
         """Give all of them, but some and those that are stopped, time to end in good order."""
@@ -112,19 +112,18 @@ class Processes:
 
     def end(self) -> None:
         """Kill all that have not ended."""
-        _end(self._running.values())
+        _end(self._running)
 
     def __exit__(self, *_: object) -> None:
         self.end()
 
 
-def _end(processes: Iterable[subprocess.Popen[bytes]]) -> None:
-    processes = list(processes)
-    for process in processes:
+def _end(processes: Mapping[str, subprocess.Popen[bytes]]) -> None:
+    for process in processes.values():
         if process.poll() is None:
             process.kill()
-    for process in processes:
-        process.wait()
+    for name, process in processes.items():
+        await_death(process, name)
         if process.stdin is not None:
             process.stdin.close()
 

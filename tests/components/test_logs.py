@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
+import threading
 from pathlib import Path
+from time import sleep
 
 import pytest
 
 from cosim.logs import LIMIT, Logs
+from cosim.native_output import captured
 from tests.components.misbehaving import cosim, scenario
 
 WAYS = {"in one process": (), "across processes": ("--distributed", "--workers", "2")}
@@ -70,6 +75,42 @@ def test_an_fmu_that_logs_a_gigabyte(probes: dict[int, Path], tmp_path: Path, wa
     assert (logs / "bad.probe.log").read_text().endswith("\n[Warning] the last line\n")
     assert (logs / f"{output}.log").read_text().endswith("\nthe last line\n")
     assert int((tmp_path / "largest").read_text()) < 500_000  # kB
+
+
+def test_a_disk_that_stalls_costs_no_line(capfd: pytest.CaptureFixture[str]) -> None:
+    taken: list[bytes] = []
+
+    def stalls(data: bytes) -> None:
+        sleep(2.5)
+        taken.append(data)
+
+    with captured(stalls):
+        os.write(1, b"the last line\n")
+    assert taken == [b"the last line\n"]
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_disk_that_never_answers_is_told(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("cosim.native_output._DRAIN_SECONDS", 0.01)
+    answers = threading.Event()
+    with captured(lambda _: answers.wait(60) and None):
+        os.write(1, b"the last line\n")
+    answers.set()
+    assert capfd.readouterr().err == (
+        "warning: what FMUs printed last is lost: it could not be written within 0.01 s\n"
+    )
+
+
+def test_who_goes_on_printing_is_not_waited_for() -> None:
+    """A process that an FMU started, and that outlives it."""
+    taken: list[bytes] = []
+    with captured(taken.append):
+        process = subprocess.Popen(["sh", "-c", "echo begins; exec cat"], stdin=subprocess.PIPE, text=True)
+        os.write(2, b"the last line\n")
+    assert process.poll() is None
+    assert b"the last line\n" in b"".join(taken)
+    process.communicate("still there", timeout=60)
+    assert process.returncode == 0
 
 
 def test_more_files_than_are_kept_open(tmp_path: Path) -> None:

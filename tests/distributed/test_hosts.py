@@ -17,6 +17,8 @@ import pytest
 import fmus
 from cosim import cli
 from cosim.components.fmu.stripping import strip
+from tests.components import misbehaving
+from tests.components.probe import FAILS
 from tests.distributed.networks import ring, scenario
 from tests.distributed.started import PATIENCE, ROOT, Started, free_port, started
 from tests.scenario.scenarios import changed
@@ -155,6 +157,23 @@ def test_files_travel_but_for_the_one_that_stays_with_its_owner(start: Start, tm
     assert digest(tmp_path / "s" / "out") == plain_digest(tmp_path, "../s/whole.yaml")
     kept = [path for place in "eab" for path in (tmp_path / place).rglob("*.fmu")]
     assert kept == [tmp_path / "b" / "secret.fmu"]
+
+
+def test_an_fmu_that_goes_elsewhere_takes_no_log_with_it(start: Start, tmp_path: Path, probes: dict[int, Path]) -> None:
+    fails = FAILS.index("step_wanders")
+    wanders = f"  good: {{template: probe, components: {{probe: {{start: {{fails: {fails}}}}}}}}}\n"
+    text = misbehaving.scenario(probes[3], "step_prints").replace("  good: {template: probe}\n", wanders)
+    (tmp_path / "net.yaml").write_text(text)
+    where = f"unixsock-stream/{tmp_path}/hub"
+    serve = start("s", "serve", str(tmp_path / "net.yaml"), "--listen", where, "--no-report")
+    emulator = start("e", "emulator", "--connect", where)
+    worker = start("a", "worker", "--connect", where, "--agents", "good, bad")
+    code, _, said = worker.end()
+    assert code == 0, said
+    (folder,) = re.findall("what its components logged is in (.*)", said)
+    assert "the probe printed at t = " in (tmp_path / "a" / folder / "output.log").read_text()
+    for other in (serve, emulator):
+        other.succeed()
 
 
 def test_python_classes_must_be_the_same_on_all_hosts(start: Start, tmp_path: Path) -> None:

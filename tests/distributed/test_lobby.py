@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
+import fmus
 from cosim.distributed.assignment import Share, share_of
 from cosim.distributed.files import Offer, Procurement
+from cosim.distributed.hosting import _farewell
 from cosim.distributed.lobby import Claim, Lobby
 from cosim.distributed.serving import send
 from cosim.planning import load
@@ -113,7 +117,7 @@ def test_only_what_is_offered_can_be_fetched(sha256: str | None, chunk: int) -> 
 class Fetching:
     """A worker on a host without the shipped FMUs, and the chunks on their way to it."""
 
-    def __init__(self, store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, store: Path, monkeypatch: pytest.MonkeyPatch, folders: Sequence[Path] = ()) -> None:
         self.place = Hall(Lobby(load("paper_leaders").plan, None, "1.0"))
         self.guest = self.place.network.connect("a")
         send(self.guest, [Claim("1.0", "here", "1..3").message()])
@@ -121,7 +125,7 @@ class Fetching:
         self.offer = Offer.decode(self.guest.receive(0))
         with monkeypatch.context() as elsewhere:
             elsewhere.setattr("fmus.names", list)
-            self.procurement = Procurement(self.offer, [], store)
+            self.procurement = Procurement(self.offer, folders, store)
 
     def fetch(self) -> int:
         """All files; how many parts they came in."""
@@ -142,6 +146,23 @@ def test_files_come_in_parts_as_they_are(tmp_path: Path, monkeypatch: pytest.Mon
     fetched = {path.read_bytes() for path in fetching.procurement.located.values()}
     assert fetched == {path.read_bytes() for path in originals if path}
     assert all(path.parent == tmp_path for path in fetching.procurement.located.values())
+
+
+@pytest.mark.parametrize("kept", ["files", "current"])
+def test_files_are_found_by_what_is_in_them(kept: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the folder of --files as well as in the current one, whatever they are called."""
+    (tmp_path / "files").mkdir()
+    (tmp_path / "current").mkdir()
+    monkeypatch.chdir(tmp_path / "current")
+    fetching = Fetching(tmp_path, monkeypatch, [Path("../files"), Path()])
+    needed = sorted({name for item in fetching.offer.items for name in item.names})
+    for i, name in enumerate(needed):
+        shutil.copy(fmus.path(name), tmp_path / kept / f"{i}.fmu")
+    fetching = Fetching(tmp_path, monkeypatch, [Path("../files"), Path()])
+    assert fetching.procurement.done
+    monkeypatch.chdir("/")  # as an FMU may do
+    found = fetching.procurement.located
+    assert {path.read_bytes() for path in found.values()} == {fmus.path(name).read_bytes() for name in needed}
 
 
 @pytest.mark.parametrize(
@@ -166,3 +187,14 @@ def test_files_that_do_not_come_as_announced(
     with pytest.raises(WireError, match=said):
         fetching.procurement.take(fetching.guest.receive(0))
     assert fetching.procurement.located == {}
+
+
+# --- farewells --------------------------------------------------------------------------------------------------------
+def test_an_error_without_a_message_is_told_by_its_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cosim.distributed.hosting._FAREWELL_SECONDS", 0.0)
+    network = InMemoryNetwork("hall")
+    hub = network.hub()
+    guest = network.connect("a")
+    with pytest.raises(MemoryError), _farewell(hub):
+        raise MemoryError
+    assert decode_object(guest.receive(0).expect(Kind.BYE)) == {"message": "MemoryError"}

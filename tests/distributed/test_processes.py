@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from cosim.distributed import cluster
+from cosim.distributed.processes import Processes
 from cosim.errors import ClusterError
 from cosim.running.inline import Interrupted
 from tests.distributed.networks import Record, in_process, planned, ring, scenario
@@ -275,3 +276,21 @@ def test_mistakes_are_said_before_anything_starts(arguments: list[str], said: st
     assert done.returncode == 2
     assert said in done.stderr
     assert not (tmp_path / "runs").exists()
+
+
+# --- ends -------------------------------------------------------------------------------------------------------------
+def test_process_that_does_not_die_is_left_behind_with_a_word(
+    scratch: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """One that waits for a disk takes no signal until that answers; here the signal is withheld."""
+    monkeypatch.setattr("cosim.spawning._DEATH_SECONDS", 0.01)
+    monkeypatch.setattr(subprocess.Popen, "kill", lambda _: None)
+    folder = scratch / "run"
+    folder.mkdir()
+    with Processes("run", f"unixsock-stream/{folder}/hub", folder) as processes:
+        processes.start(["worker-1"])
+        process = processes._running["worker-1"]
+    assert f"warning: worker-1 (process {process.pid}) was killed, but has not ended within 0.01 s" in (
+        capfd.readouterr().err
+    )
+    process.wait(60)  # it saw its standard input end

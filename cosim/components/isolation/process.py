@@ -11,11 +11,14 @@ from contextlib import suppress
 
 from cosim.components.isolation.calls import Channel
 from cosim.logs import Sink
-from cosim.native_output import pump
+from cosim.native_output import Pump
 from cosim.scratch import Scratch
-from cosim.spawning import how_it_ended, search_path
+from cosim.spawning import await_death, how_it_ended, search_path
 
 _EXIT_SECONDS = 2.0
+_GONE_SECONDS = 10.0
+"""For a process whose connection is closed already: all that can take long is writing a core dump."""
+
 _TAIL_LINES = 5
 _TAIL_BYTES = 10_000
 
@@ -55,7 +58,7 @@ class HostProcess:
             raise
         finally:
             os.close(writing)
-        self._pump = pump(reading, self._take)
+        self._pump = Pump(reading, self._take)
         self.channel = Channel(own)
 
     @property
@@ -67,7 +70,7 @@ class HostProcess:
     def ended(self) -> str | None:
         """How it ended, if it has, or does so at once."""
         with suppress(subprocess.TimeoutExpired):
-            return how_it_ended(self._process.wait(_EXIT_SECONDS))
+            return how_it_ended(self._process.wait(_GONE_SECONDS))
         return None
 
     def end(self) -> None:
@@ -83,11 +86,11 @@ class HostProcess:
         """End it at once."""
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.wait()
+        await_death(self._process, "the process of a component")
         if self._process.stdin is not None:
             self._process.stdin.close()
         self.channel.close()
-        self._pump.join(_EXIT_SECONDS)
+        self._pump.drain()
         self._scratch.remove()
 
     def _take(self, data: bytes) -> None:
