@@ -177,7 +177,7 @@ class Procurement:
 
     Args:
         offer: of the orchestrator.
-        folders: where this process's user keeps files; all FMUs in the first, those of the right name in the others.
+        folders: where this process's user keeps files.
         store: a folder for what is fetched.
 
     Raises:
@@ -249,7 +249,7 @@ class Procurement:
         return self.ask()
 
     def _locate(self, item: Item, path: Path) -> None:
-        self.located.update(dict.fromkeys(item.names, path))
+        self.located.update(dict.fromkeys(item.names, path.absolute()))  # FMUs may change the current folder
 
 
 def _sha256(path: Path) -> str:
@@ -270,8 +270,8 @@ def _candidates(item: Item, folders: Sequence[Path]) -> Iterator[Path]:
     import fmus
 
     yield from _of_that_name(item, folders)
-    if folders:
-        yield from sorted(folders[0].glob("*.fmu"))
+    for folder in folders:
+        yield from sorted(folder.glob("*.fmu"))
     yield from (fmus.path(name) for name in item.names if name in fmus.names())
 
 

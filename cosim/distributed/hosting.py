@@ -123,7 +123,7 @@ def _farewell(hub: Hub) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        why = str(error).splitlines()[0]
+        why = str(error).partition("\n")[0] or type(error).__name__
         raise
     finally:
         for name in hub.peers:
@@ -229,10 +229,6 @@ class Visitors(Processes):
         super().__init__("", "", Path())
         self._hub = hub
         self._names = names
-
-    def ended(self) -> str | None:
-        """None that is known of."""
-        return None
 
     def condition(self, name: str) -> str | None:  # noqa: ARG002 - as of `Processes`
         """Nothing to say."""

@@ -82,9 +82,10 @@ def _take_part(endpoint: Witness, claim: Claim, folders: Sequence[Path], store: 
 
     started = time.strftime("%Y-%m-%dT%H-%M-%S")
     folder = Path("runs") / plan.name / f"{started}-{endpoint.name}" / LOG_FOLDER
-    with Logs(folder) as logs, captured(logs.sink("output")):
+    place = folder.absolute()  # FMUs may change the current folder
+    with Logs(place) as logs, captured(logs.sink("output")):
         serve(endpoint, planned=planned, logs=logs)
-    if folder.exists():
+    if place.exists():
         tell(f"what its components logged is in {folder}")
     if endpoint.regular:
         tell(f"the run is over{endpoint.reason}")
