@@ -7,6 +7,8 @@ import os
 import signal
 import subprocess
 import sys
+import threading
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn
@@ -50,6 +52,46 @@ def signal_name(number: int) -> str:
         return signal.Signals(number).name
     except ValueError:
         return "unknown"
+
+
+def end_with_parent(clear: Callable[[], None]) -> None:
+    """End this process once the one that started it is gone, whatever it is doing, even if it hangs in native code.
+
+    Standard input must be a pipe that only the other process holds open; from here on it is empty.
+
+    Args:
+        clear: called before the end.
+    """
+    parent = os.dup(0)
+    with Path(os.devnull).open("rb") as nothing:
+        os.dup2(nothing.fileno(), 0)
+
+    def guard() -> None:
+        while os.read(parent, 1):
+            pass
+        try:
+            clear()
+        finally:
+            end_group(1)
+
+    threading.Thread(target=guard, name="guard", daemon=True).start()
+
+
+def end_group(code: int) -> NoReturn:
+    """End at once, with all that this process has started if it leads a group."""
+    if sys.platform != "win32" and os.getpgrp() == os.getpid():
+        os.killpg(0, signal.SIGKILL)
+    os._exit(code)
+
+
+def kill_group(process: subprocess.Popen[bytes], what: str) -> None:
+    """End a process that leads a group, with all that it has started; see `await_death`."""
+    if sys.platform == "win32":
+        process.kill()
+    else:
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+    await_death(process, what)
 
 
 def leave(code: int) -> NoReturn:

@@ -24,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     args = make_parser().parse_args(arguments)
-    previous = signal.signal(signal.SIGTERM, _terminate)
+    previous = {number: signal.signal(number, _terminate) for number in _end_requests()}
     try:
         code: int = args.command(args)
         sys.stdout.flush()
@@ -46,7 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: cannot write the output: {error.strerror}", file=sys.stderr)
         return CosimError.exit_code
     finally:
-        signal.signal(signal.SIGTERM, previous)
+        for number, handler in previous.items():
+            signal.signal(number, handler)
     return code
 
 
@@ -63,6 +64,12 @@ def command() -> NoReturn:
 
         leave(code)
     sys.exit(code)
+
+
+def _end_requests() -> list[int]:
+    """The signals that ask for an end; what `nohup` has told this process to ignore, it goes on to ignore."""
+    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    return [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
 
 
 def _terminate(number: int, _: FrameType | None) -> NoReturn:

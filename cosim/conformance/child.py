@@ -1,7 +1,7 @@
 """The process in which a component is tried out: it may crash or hang there.
 
-The request comes as one line of JSON at standard input; what is found goes, one line each, to what was standard output.
-The component's own prints go to standard error.
+The request comes as one line of JSON at standard input, which stays open until the process is to end; what is found
+goes, one line each, to what was standard output. The component's own prints go to standard error.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from cosim.spawning import leave
+from cosim import scratch
+from cosim.spawning import end_with_parent, leave
 
 
 def main() -> None:
@@ -20,6 +21,7 @@ def main() -> None:
     channel = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     request = json.loads(sys.stdin.readline())
+    end_with_parent(scratch.remove_all)
     sys.path[:] = request["path"]
 
     def say(**what: Any) -> None:

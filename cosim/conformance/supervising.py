@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import queue
-import signal
 import subprocess
 import sys
 import tempfile
@@ -20,6 +19,7 @@ from cosim.components.component import Description, Interface, Value
 from cosim.components.opening import describe
 from cosim.conformance.report import Finding, Report, Verdict
 from cosim.errors import ConfigError, Problem
+from cosim.spawning import kill_group, signal_name
 
 _LONGEST_START = 60.0
 """Seconds within which a process has read the component."""
@@ -156,6 +156,7 @@ class _Trial:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=prints,
+                start_new_session=True,
             )
             try:
                 done, ended = self._listen(child, checks, found)
@@ -168,18 +169,20 @@ class _Trial:
                     with suppress(subprocess.TimeoutExpired):
                         child.wait(_LEAVE_SECONDS)
             finally:
-                child.kill()
-                child.communicate()
+                kill_group(child, "the process of a component")
+                if child.stdin is not None:
+                    child.stdin.close()
         return done, lost
 
     def _listen(
         self, child: subprocess.Popen[bytes], checks: Sequence[tuple[str, str]], found: list[Finding]
     ) -> tuple[int, bool]:
-        """Take what a process says; how many checks it has ended, and whether it has ended itself."""
+        """Take what a process says; how many checks it has ended, and whether it can say no more."""
         if child.stdin is None or child.stdout is None:
             raise AssertionError("pipes were asked for")
-        child.stdin.write(json.dumps({**self._request, "checks": checks}).encode() + b"\n")
-        child.stdin.flush()
+        with suppress(BrokenPipeError):  # it has ended already, as is read below
+            child.stdin.write(json.dumps({**self._request, "checks": checks}).encode() + b"\n")
+            child.stdin.flush()
         lines: queue.Queue[dict[str, Any] | None] = queue.Queue()
         threading.Thread(target=_read, args=(child.stdout, lines), daemon=True).start()
         done, patience = 0, _LONGEST_START
@@ -199,17 +202,22 @@ class _Trial:
         return done, True
 
     def _account(self, child: subprocess.Popen[bytes], ended: bool) -> str:
+        late = f"does not come to an end within {self._deadline:g} s"
         if not ended:
-            return f"does not come to an end within {self._deadline:g} s"
-        code = child.wait()
+            return late
+        try:
+            code = child.wait(self._deadline)
+        except subprocess.TimeoutExpired:
+            return f"closes file descriptors that are not its own, and {late}"
         if code < 0:
-            return f"crashes its process ({signal.Signals(-code).name})"
+            return f"crashes its process ({signal_name(-code)})"
         return f"ends its process (exit code {code})"
 
 
 def _read(stream: IO[bytes], lines: queue.Queue[dict[str, Any] | None]) -> None:
-    for line in stream:
-        lines.put(json.loads(line))
+    with stream:
+        for line in stream:
+            lines.put(json.loads(line))
     lines.put(None)
 
 

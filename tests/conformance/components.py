@@ -2,6 +2,8 @@
 
 import itertools
 import os
+import subprocess
+import sys
 from collections.abc import Mapping
 from typing import ClassVar
 
@@ -115,6 +117,27 @@ class Blurting(Counting):
 
     def restore(self, saved: list[float]) -> None:
         self.past = saved
+
+
+class Closing(Ramp):
+    """Takes its process' descriptors for its own, and never ends."""
+
+    def initialise(self, time: float) -> None:
+        os.closerange(0, 1024)
+        while True:
+            pass
+
+
+class Staying(Ramp):
+    """Never ends, and holds the FIFO at `$STAYING` open for as long as its process and the one that it starts live."""
+
+    def initialise(self, time: float) -> None:
+        descriptor = os.open(os.environ["STAYING"], os.O_WRONLY)
+        os.set_inheritable(descriptor, True)
+        other = subprocess.Popen([sys.executable, "-c", "while True: pass"], close_fds=False)
+        os.write(descriptor, f"{os.getpid()} {other.pid}\n".encode())
+        while True:
+            pass
 
 
 class Picky(Ramp):

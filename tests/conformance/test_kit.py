@@ -124,6 +124,12 @@ def test_one_that_works_once_in_a_process() -> None:
     assert {"initialise", "start values", "run"} <= accepted
 
 
+def test_one_that_closes_all_descriptors_and_goes_on() -> None:
+    """The end of what its process says is not the end of the process."""
+    report = check(components.Closing, deadline=2.0)
+    assert "closes file descriptors that are not its own, and does not come to an end within 2 s" in str(report)
+
+
 @pytest.mark.parametrize(
     ("fails", "name", "sentence"),
     [

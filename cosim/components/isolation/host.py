@@ -10,11 +10,9 @@ from __future__ import annotations
 
 import os
 import shutil
-import signal
 import socket
 import sys
 import tempfile
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -33,6 +31,7 @@ from cosim.components.isolation.calls import (
 )
 from cosim.errors import ComponentError, ConfigError, CosimError
 from cosim.native_output import print_by_lines
+from cosim.spawning import end_group, end_with_parent
 
 _NOTHING = np.empty(0)
 
@@ -169,11 +168,7 @@ def main(arguments: Sequence[str]) -> NoReturn:
     """Serve until the other end of the socket is closed."""
     descriptor, folder = int(arguments[0]), Path(arguments[1])
     tempfile.tempdir = str(folder)
-    agent = os.dup(0)
-    os.set_inheritable(agent, False)
-    with Path(os.devnull).open("rb") as nothing:
-        os.dup2(nothing.fileno(), 0)
-    threading.Thread(target=_guard, args=(agent, folder), name="guard", daemon=True).start()
+    end_with_parent(lambda: _remove(folder))
     print_by_lines()
     channel, host = Channel(socket.socket(fileno=descriptor)), Host()
     try:
@@ -181,7 +176,8 @@ def main(arguments: Sequence[str]) -> NoReturn:
             number, count, body = channel.receive()
             channel.send(number, *_reply(host, count, body))
     except (Closed, ProtocolError):
-        _end(folder, 0)
+        _remove(folder)
+        end_group(0)
 
 
 def _reply(host: Host, count: int, body: bytes) -> tuple[int, bytes]:
@@ -198,19 +194,8 @@ def _reply(host: Host, count: int, body: bytes) -> tuple[int, bytes]:
     return FAULT, json.dumps(tree).encode()
 
 
-def _guard(agent: int, folder: Path) -> None:
-    """End the process once the agent's is gone, whatever the component is doing."""
-    while os.read(agent, 1):
-        pass
-    _end(folder, 1)
-
-
-def _end(folder: Path, code: int) -> NoReturn:
-    """Leave nothing behind: neither files nor what the component has started."""
+def _remove(folder: Path) -> None:
     shutil.rmtree(folder, ignore_errors=True)
-    if os.getpgrp() == os.getpid():
-        os.killpg(0, signal.SIGKILL)
-    os._exit(code)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -13,7 +12,7 @@ from cosim.components.isolation.calls import Channel
 from cosim.logs import Sink
 from cosim.native_output import Pump
 from cosim.scratch import Scratch
-from cosim.spawning import await_death, how_it_ended, search_path
+from cosim.spawning import how_it_ended, kill_group, search_path
 
 _EXIT_SECONDS = 2.0
 _GONE_SECONDS = 10.0
@@ -84,9 +83,7 @@ class HostProcess:
 
     def kill(self) -> None:
         """End it at once."""
-        with suppress(ProcessLookupError, PermissionError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-        await_death(self._process, "the process of a component")
+        kill_group(self._process, "the process of a component")
         if self._process.stdin is not None:
             self._process.stdin.close()
         self.channel.close()
