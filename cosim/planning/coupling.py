@@ -10,7 +10,7 @@ from cosim.components.component import Description, Interface
 from cosim.errors import Location
 from cosim.plan import AgentPlan, ControlPlan, CouplingPlan, Integrator, Loop, Method
 from cosim.planning.problems import Problems
-from cosim.planning.steps import choose_step, own_steps, plan_parts
+from cosim.planning.steps import OwnStep, choose_step, own_steps, plan_parts
 from cosim.scenario.reading import AgentEntry
 from cosim.scenario.source import Node
 from cosim.scenario.spec import CouplingSpec
@@ -36,60 +36,90 @@ def choose_coupling(
         period_ns: T.
         problems: takes what is wrong.
     """
-    spec, node = entry.spec.coupling, entry.node
-    where = node.locate("coupling", "method")
+    spec = entry.spec.coupling
     method = _auto(descriptions) if spec.method == "auto" else Method(spec.method)
+    possible = _check_interfaces(entry, descriptions, method, problems)
+    _check_own_tolerances(entry, method, problems)
+    control = _control(entry, descriptions, method, period_ns, problems)
+    retries = 0 if method is Method.JOINT else _retries(entry, descriptions, problems)
+    loop = _loop(spec, entry.node, _in_python(entry, descriptions, method, retries, control), problems)
+    demands: dict[str, OwnStep] = {}
+    if method is not Method.JOINT:
+        demands = own_steps(descriptions, readers if method is Method.MIDPOINT else frozenset())
+    steps = {name: component.step for name, component in entry.spec.components.items() if component.step is not None}
+    if control is not None:
+        possible = _check_lengths(entry, demands, steps, problems) and possible
+    if not possible:
+        return None
+    slowest_ns = max(steps.values(), default=0)
+    step_ns = choose_step(spec, method, entry.node, demands, period_ns, problems, slowest_ns)
+    if step_ns is None:
+        return None
+    if control is not None:
+        _check_least_step(entry, step_ns, problems)
+    tolerances = spec.relative_tolerance, spec.absolute_tolerance or _ABSOLUTE_TOLERANCE
+    parts = plan_parts(entry, steps, step_ns, method, demands, problems)
+    integrator = Integrator(spec.integrator)
+    return CouplingPlan(method, step_ns, integrator, *tolerances, loop, bool(demands), retries, parts, control)
+
+
+def _check_interfaces(
+    entry: AgentEntry, descriptions: Mapping[str, Description], method: Method, problems: Problems
+) -> bool:
+    """Whether all components offer what the method needs."""
     wanted = Interface.MODEL_EXCHANGE if method is Method.JOINT else Interface.CO_SIMULATION
     lacking = [name for name, description in descriptions.items() if wanted not in description.interfaces]
     if lacking:
-        why = "no method fits all components" if spec.method == "auto" else f"{method} needs {_words(wanted)}"
+        auto = entry.spec.coupling.method == "auto"
+        why = "no method fits all components" if auto else f"{method} needs {_words(wanted)}"
         problems.error(
-            f"{why}: {_quoted(lacking)} {'does' if len(lacking) == 1 else 'do'} not offer {_words(wanted)}", where
+            f"{why}: {_quoted(lacking)} {'does' if len(lacking) == 1 else 'do'} not offer {_words(wanted)}",
+            entry.node.locate("coupling", "method"),
         )
-    _check_own_tolerances(entry, method, problems)
-    control = _control(entry, descriptions, method, period_ns, problems)
-    retries = 0 if method is Method.JOINT else spec.retries
-    loop = _loop(spec, node, _in_python(entry, descriptions, method, retries, control), problems)
+    return not lacking
+
+
+def _retries(entry: AgentEntry, descriptions: Mapping[str, Description], problems: Problems) -> int:
+    """How often a step may be tried again, for which components go back to where it began."""
+    retries = entry.spec.coupling.retries
     unsaved = [name for name, description in descriptions.items() if not description.can_get_and_set_state]
     if retries and unsaved:
         problems.error(
             f"'retries' takes components that can save their state, and {_quoted(unsaved)} cannot (an FMU: "
             "canGetAndSetFMUState; a Python class: save = None); "
             "leave it out, or take a shorter step",
-            node.locate("coupling", "retries"),
+            entry.node.locate("coupling", "retries"),
         )
-    demands = own_steps(descriptions, readers if method is Method.MIDPOINT else frozenset())
-    if method is Method.JOINT:
-        demands = {}
-    if control is not None and demands:
+    return retries
+
+
+def _check_lengths(
+    entry: AgentEntry, demands: Mapping[str, OwnStep], steps: Mapping[str, int], problems: Problems
+) -> bool:
+    """Whether steps may have any length, as those that 'tolerance' chooses have."""
+    if demands:
         problems.error(
             f"'tolerance' chooses steps of any length, and {_quoted(demands)} "
             f"{'takes' if len(demands) == 1 else 'take'} those of one length only (fixedInternalStepSize, or no "
             "canHandleVariableCommunicationStepSize); leave 'tolerance' out, and try `cosim run --estimate-error`",
-            node.locate("coupling", "tolerance"),
+            entry.node.locate("coupling", "tolerance"),
         )
-        return None
-    steps = {name: component.step for name, component in entry.spec.components.items() if component.step is not None}
-    slowest_ns = max(steps.values(), default=0)
-    if control is not None and steps:
+    if steps:
         problems.error(
             f"'tolerance' chooses the steps of all components together; leave 'step' out of {_quoted(steps)}",
-            node.locate("components", next(iter(steps)), "step"),
+            entry.node.locate("components", next(iter(steps)), "step"),
         )
-        return None
-    step_ns = None if lacking else choose_step(spec, method, node, demands, period_ns, problems, slowest_ns)
-    if step_ns is None:
-        return None
-    if control is not None and spec.least_step is not None and spec.least_step > step_ns:
+    return not demands and not steps
+
+
+def _check_least_step(entry: AgentEntry, step_ns: int, problems: Problems) -> None:
+    least_ns = entry.spec.coupling.least_step
+    if least_ns is not None and least_ns > step_ns:
         problems.error(
-            f"'least_step' is {format_duration(spec.least_step)}, longer than the largest step, "
+            f"'least_step' is {format_duration(least_ns)}, longer than the largest step, "
             f"{format_duration(step_ns)}; write a shorter one",
-            node.locate("coupling", "least_step"),
+            entry.node.locate("coupling", "least_step"),
         )
-    tolerances = spec.relative_tolerance, spec.absolute_tolerance or _ABSOLUTE_TOLERANCE
-    parts = plan_parts(entry, steps, step_ns, method, demands, problems)
-    integrator = Integrator(spec.integrator)
-    return CouplingPlan(method, step_ns, integrator, *tolerances, loop, bool(demands), retries, parts, control)
 
 
 def _control(

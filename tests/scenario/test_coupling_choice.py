@@ -123,6 +123,15 @@ def test_steps_of_one_length_cannot_keep_to_a_tolerance(fixed: dict[str, Any]) -
     assert "'tolerance' chooses steps of any length, and 'plant' takes those of one length only" in errors[0]
 
 
+def test_all_that_stands_against_a_tolerance_is_said_at_once() -> None:
+    text = "{tolerance: 1e-5}\ncomponents: {plant: {fmu: a.fmu}, controller: {fmu: b.fmu, step: 10 ms}}"
+    found, errors, _ = choose(text, describe(CS, variable_step=False), describe(CS))
+    assert found is None
+    assert len(errors) == 2
+    assert "'plant' takes those of one length only" in errors[0]
+    assert "leave 'step' out of 'controller'" in errors[1]
+
+
 @pytest.mark.parametrize(
     ("text", "plant", "controller", "period_ns", "step_ns"),
     [
