@@ -195,12 +195,3 @@ class _Network:
 def window_of(h_star_ns: int, period_ns: int) -> int:
     """Ticks in a window: ⌈h*/T⌉ + 1."""
     return -(-h_star_ns // period_ns) + 1
-
-
-def fresh_counts(logs: Sequence[EdgeLog], links: Links, span: Span) -> Ints:
-    """(n_ticks, n_agents): |N_ij(σ)|, how many in-neighbours' data was fresh."""
-    counts = np.zeros((span.n_ticks, len(links.agents)), np.int64)
-    grew = updates(logs, span)
-    for link, receiver in enumerate(links.receiver.tolist()):
-        counts[:, receiver] += grew[:, link]
-    return counts

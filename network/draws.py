@@ -123,14 +123,6 @@ class Draws:
         even, odd = threefry2x64(counter, (self._key[0][edge], self._key[1][edge]))
         return _unit(np.where(tick % 2 == 0, even, odd))
 
-    def integers(self, purpose: str, tick: int, low: int, high: int) -> Ints:
-        """(n,) int64, uniform over {low, …, high - 1}.
-
-        The 2^53 equally likely uniforms are divided among m = high - low values, so each value has probability 1/m to
-        within 2^-53: a bias that no simulation can see (for delays over a second, m = 10^9: a relative 1e-7).
-        """
-        return (self.uniform(purpose, tick) * (high - low)).astype(np.int64) + low
-
     def _compute(self, purpose: str, index: int) -> Floats:
         pairs = np.arange(index * self._block // 2, (index + 1) * self._block // 2, dtype=np.uint64)
         even, odd = threefry2x64((pairs[:, None], _words(_digest(8, purpose))), self._key)

@@ -8,9 +8,9 @@ tick 0 had been there: what the receiver then assumes of its neighbour is about 
 sample ends a peak (Costa, Codreanu, Ephremides: "On the age of information in status update systems", 2016).
 
 **Assumption 1** asks of an edge that a sequence of samples, the first among ticks 0, …, k*, and each at most k* ticks
-after the one before, arrive within h of being taken. A log refutes pairs (k*, h) that are too small. `tolerance_front`
-gives those that it does not refute and that cannot be made smaller. (The largest age read at ticks, which the paper
-calls h*, is another number, and usually less than the smallest k*·T + h.)
+after the one before, arrive within h of being taken. A log refutes pairs (k*, h) that are too small.
+`tolerance_fronts` gives those that it does not refute and that cannot be made smaller. (The largest age read at ticks,
+which the paper calls h*, is another number, and usually less than the smallest k*·T + h.)
 """
 
 from __future__ import annotations
@@ -149,8 +149,8 @@ class Front:
         return int((self.k_star * period_ns + self.h_ns).min()) if len(self.h_ns) else None
 
 
-def tolerance_front(log: EdgeLog, span: Span) -> Front:
-    """The smallest pairs (k*, h) of Assumption 1 that the log of an edge does not refute, for the delays h it shows.
+def tolerance_fronts(logs: Sequence[EdgeLog], span: Span) -> list[Front]:
+    """The smallest pairs (k*, h) of Assumption 1 that the log of each edge does not refute, for the delays h it shows.
 
     The delay of a sample runs from when it was taken to its first arrival. The ends of the log count as follows. The
     first sample in time may be that of tick k* at the latest. A sample that had not arrived by the end of the log, and
@@ -159,11 +159,6 @@ def tolerance_front(log: EdgeLog, span: Span) -> Front:
 
     The exact front in O(N log N): samples are struck in the order of falling delay, where the largest gap only grows.
     """
-    return tolerance_fronts([log], span)[0]
-
-
-def tolerance_fronts(logs: Sequence[EdgeLog], span: Span) -> list[Front]:
-    """`tolerance_front` of every edge, many at once."""
     at_once = max(1, _SAMPLES_AT_ONCE // span.n_ticks)
     return [front for i in range(0, len(logs), at_once) for front in _fronts_of_some(logs[i : i + at_once], span)]
 
@@ -204,7 +199,7 @@ def common_front(fronts: Sequence[Front]) -> Front:
 
 
 def _delays(logs: Sequence[EdgeLog], span: Span) -> tuple[Ints, NDArray[np.bool_]]:
-    """(n_edges, n_ticks) delay of each sample as `tolerance_front` takes it; and whether that sample did arrive."""
+    """(n_edges, n_ticks) delay of each sample as `tolerance_fronts` takes it; and whether that sample did arrive."""
     edge = np.repeat(np.arange(len(logs)), [len(log.stamp) for log in logs])
     stamp, arrival, fate = (
         np.concatenate([getattr(log, name) for log in logs]) for name in ("stamp", "arrival_ns", "fate")

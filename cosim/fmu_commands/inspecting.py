@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cosim.components.component import Description, Interface, Value, Variable
+from cosim.components.component import Interface, Value, Variable
 from cosim.components.fmu.library import PLATFORM, File, findings, read, runs_in_python
 from cosim.components.fmu.variables import fmi2_variables, fmi3_variables
 
@@ -50,12 +50,6 @@ def report(path: Path, *, everything: bool = False) -> str:
     variables = fmi2_variables(file.model) if file.fmi == 2 else fmi3_variables(file.model, {})
     sections = [_head(file, path), _variables(variables, everything=everything), _problems(file, path, variables)]
     return "\n\n".join("\n".join(section) for section in sections if section)
-
-
-def variables_of(description: Description, causalities: Iterable[str]) -> list[Variable]:
-    """Those of some causalities, in the file's order."""
-    wanted = set(causalities)
-    return [variable for variable in description.variables.values() if variable.causality in wanted]
 
 
 # --- the file ---------------------------------------------------------------------------------------------------------

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from network.fitting.likelihood import CONFIDENCE_SIGMAS, aic, bic, half_widths
-from network.impairments.loss import GilbertElliott
 from network.messages import Floats, Ints
 
 _EDGE = 1e-6  # probabilities stay so far away from 0 and 1 in the search
@@ -213,8 +212,3 @@ def _scaled(matrices: Floats, logs: Floats) -> tuple[Floats, Floats]:
     largest = matrices.max(axis=(1, 2))
     largest = np.where(largest > 0, largest, 1.0)
     return matrices / largest[:, None, None], logs + np.log(largest)
-
-
-def gilbert_elliott(fit: LossFit) -> GilbertElliott:
-    """The model of a fit that is none of independent losses."""
-    return GilbertElliott.model_validate(fit.values)

@@ -34,17 +34,11 @@ class Reorder(Part):
 
     short_form = schema_of(Probability)
     short_field = "random"
+    from_short = parse_probability
 
     random: Probability = Field(description="a message that may go ahead does so with this probability")
     correlation: Probability = Field(0.0, description="from one message to the next; the rate stays")
     gap: int = Field(1, ge=1, description="after one that went ahead, the next gap - 1 messages may not")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_rate(cls, value: Any) -> Any:
-        if isinstance(value, (int, float, str)) and not isinstance(value, bool):
-            return {"random": parse_probability(value)}
-        return value
 
 
 class Delay(Impairment):

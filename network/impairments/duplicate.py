@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from network.channel import Setting, Transmission
 from network.impairments.impairment import Impairment, Stage, Stepwise, Sticky, schema_of
@@ -18,16 +16,10 @@ class Duplicate(Impairment):
 
     short_form = schema_of(Probability)
     short_field = "random"
+    from_short = parse_probability
 
     random: Probability = Field(description="every message with this probability")
     correlation: Probability = Field(0.0, description="from one message to the next; the rate stays")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_rate(cls, value: Any) -> Any:
-        if isinstance(value, (int, float, str)) and not isinstance(value, bool):
-            return {"random": parse_probability(value)}
-        return value
 
     def open(self, setting: Setting) -> Stage:
         return _Duplicate(self, setting)

@@ -8,7 +8,7 @@ whether there are copies. It keeps its state edge by edge, and draws its random 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,6 +19,7 @@ from pydantic import (
     SerializerFunctionWrapHandler,
     TypeAdapter,
     model_serializer,
+    model_validator,
 )
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
@@ -41,6 +42,15 @@ class Part(BaseModel):
     """Its JSON schema."""
     short_field: ClassVar[str | None] = None
     """The field that it stands for, if all others have their defaults."""
+    from_short: ClassVar[Callable[[Any], object] | None] = None
+    """Reads it, if a number or a text: a mistake in it is then the part's, not that of a field which nobody wrote."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_short_form(cls, value: Any) -> Any:
+        if cls.from_short is not None and isinstance(value, (int, float, str)) and not isinstance(value, bool):
+            return {cls.short_field: cls.from_short(value)}
+        return value
 
     @model_serializer(mode="wrap")
     def _as_short_as_can_be(self, handler: SerializerFunctionWrapHandler) -> Any:

@@ -159,18 +159,12 @@ class Loss(Impairment):
 
     short_form = schema_of(Probability)
     short_field = "random"
+    from_short = parse_probability
 
     random: Probability | None = Field(None, description="every message with this probability")
     correlation: Probability = Field(0.0, description="of `random`, from one message to the next; the rate stays")
     state: Annotated[FourState, _in_order(("p13", "p31", "p32", "p23", "p14"))] | None = None
     gemodel: Annotated[GilbertElliott, _in_order(("p", "r", "1-h", "1-k"))] | None = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_rate(cls, value: Any) -> Any:
-        if isinstance(value, (int, float, str)) and not isinstance(value, bool):
-            return {"random": parse_probability(value)}
-        return value
 
     @model_validator(mode="after")
     def _one(self) -> Loss:

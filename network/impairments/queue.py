@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from network.channel import Setting, Transmission
 from network.impairments.impairment import Impairment, Stage, Stepwise, schema_of, under_way
@@ -19,6 +18,7 @@ class Rate(Impairment):
 
     short_form = schema_of(BitRate)
     short_field = "rate"
+    from_short = parse_bit_rate
 
     rate: BitRate = Field(description='such as "1 Mbit/s"')
     overhead: Size = Field(0, description="bytes that the network adds to every message; may be negative")
@@ -27,13 +27,6 @@ class Rate(Impairment):
     limit: int | None = Field(
         None, ge=1, description="messages in the queue, the one on the link included; more are lost"
     )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_rate(cls, value: Any) -> Any:
-        if isinstance(value, (int, float, str)) and not isinstance(value, bool):
-            return {"rate": parse_bit_rate(value)}
-        return value
 
     def transmission_ns(self, message_bytes: int) -> int:
         """How long a message occupies the link."""

@@ -60,7 +60,12 @@ def test_fmus_and_python_classes_side_by_side(method: Method) -> None:
 
 def test_structural_parameters_come_first() -> None:
     """Otherwise the array's six start values would not fit."""
-    (component,) = open_components(agent(controller(fmus.path("ArmSyncController"), 3)))
+    plan = controller(fmus.path("ArmSyncController"), 3)
+    plan = replace(plan, start={**plan.start, "neighbour_p": (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)})
+    (component,) = open_components(agent(plan))
+    component.enter_initialization(0.0, 1.0)
+    component.exit_initialization()
+    assert component.get(plan.description.variables["neighbour_p"]).tolist() == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
     component.terminate()
 
 

@@ -142,18 +142,6 @@ def test_neighbouring_ticks_and_edges_are_independent(shift: tuple[int, int]) ->
     assert stats.chisquare(counts).pvalue > FALSE_ALARM
 
 
-@pytest.mark.parametrize(("low", "high"), [(0, 11), (-3, 4)])
-def test_integers_are_uniform(low: int, high: int) -> None:
-    draws = Draws(5, [f"s{i}" for i in range(300)], ["r"] * 300)
-    sample = np.concatenate([draws.integers("window", tick, low, high) for tick in range(300)])
-    assert (sample.min(), sample.max()) == (low, high - 1)
-    assert stats.chisquare(np.bincount(sample - low, minlength=high - low)).pvalue > FALSE_ALARM
-
-
-def test_an_integer_with_one_choice() -> None:
-    assert Draws(5, ["a"], ["b"]).integers("window", 0, 5, 6).tolist() == [5]
-
-
 def test_initial_conditions_are_keyed_by_seed_path_and_element() -> None:
     values = initial_uniform(1, ["arm1.plant.p"], 4)[0]
     assert initial_uniform(1, ["arm1.plant.p"], 2)[0].tolist() == values[:2].tolist()

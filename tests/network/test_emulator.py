@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from network.channel import Channel, ChannelModel, Setting, Transmission
 from network.draws import Draws
 from network.emulator import Emulator, EmulatorError
-from network.messages import NEVER, Deliveries, Fate, Links, MessageLayout
+from network.messages import NEVER, Deliveries, Fate, Ints, Links, MessageLayout
 from network.netem import Ideal, Netem
 from network.replay import Replay
 from network.window import Window
@@ -40,12 +40,15 @@ class _ErraticChannel(Channel):
     def __init__(self, n_links: int, period_ns: int, draws: Draws) -> None:
         self._n, self._period, self._draws = n_links, period_ns, draws
 
+    def _below(self, n: int, purpose: str, tick: int) -> Ints:
+        return (self._draws.uniform(purpose, tick) * n).astype(np.int64)
+
     def transmit(self, tick: int) -> Transmission:
-        copies = self._draws.integers("copies", tick, 0, 4)
+        copies = self._below(4, "copies", tick)
         link = np.repeat(np.arange(self._n), copies)
         copy = np.concatenate([np.arange(n) for n in copies] or [np.zeros(0)]).astype(np.int64)
-        stamp = np.maximum(0, tick - self._draws.integers("stamp", tick, 0, 4))[link]
-        step = np.array([self._draws.integers(f"delay{c}", tick, -1, 40)[i] for i, c in zip(link, copy, strict=True)])
+        stamp = np.maximum(0, tick - self._below(4, "stamp", tick))[link]
+        step = np.array([self._below(41, f"delay{c}", tick)[i] - 1 for i, c in zip(link, copy, strict=True)])
         return Transmission(link, stamp, np.where(step < 0, NEVER, step * (self._period // 4)).astype(np.int64), copy)
 
 

@@ -17,7 +17,6 @@ from network.freshness import (
     age_of_information,
     common_front,
     edge_logs,
-    tolerance_front,
     tolerance_fronts,
 )
 from network.messages import NEVER, Fate, Fates
@@ -161,6 +160,11 @@ def _observed(log: EdgeLog) -> list[int]:
     return sorted(set(first.values()))
 
 
+def front_of(log: EdgeLog, span: Span) -> Front:
+    (front,) = tolerance_fronts([log], span)
+    return front
+
+
 def _pairs(front: Front) -> list[tuple[int, int]]:
     return list(zip(front.k_star.tolist(), front.h_ns.tolist(), strict=True))
 
@@ -171,7 +175,7 @@ def test_the_front_by_its_definition(case: tuple[EdgeLog, Span]) -> None:
     log, span = case
     candidates = [(_k_star(log, span, h), h) for h in _observed(log)]
     pairs = [(k, h) for k, h in candidates if k is not None]
-    front = tolerance_front(log, span)
+    front = front_of(log, span)
     assert _pairs(front) == _front_of(pairs)
     assert front.smallest_sum_ns(PERIOD) == min((k * PERIOD + h for k, h in pairs), default=None)
 
@@ -190,7 +194,7 @@ def test_the_fronts_of_many_edges_are_those_of_each(n_ticks: int, data: st.DataO
 @settings(max_examples=100, deadline=None)
 @given(st.lists(logs(), max_size=4))
 def test_the_common_front_serves_every_edge(cases: list[tuple[EdgeLog, Span]]) -> None:
-    fronts = [tolerance_front(log, span) for log, span in cases]
+    fronts = [front_of(log, span) for log, span in cases]
     pairs = []
     for h in {h for front in fronts for h in front.h_ns.tolist()}:
         served = [[k for k, other in _pairs(front) if other <= h] for front in fronts]
@@ -201,14 +205,14 @@ def test_the_common_front_serves_every_edge(cases: list[tuple[EdgeLog, Span]]) -
 
 def test_an_ideal_edge_has_a_gap_of_one_tick_and_no_delay() -> None:
     span = Span(5, PERIOD)
-    front = tolerance_front(log_of([(k, k, k * PERIOD) for k in range(5)], span), span)
+    front = front_of(log_of([(k, k, k * PERIOD) for k in range(5)], span), span)
     assert _pairs(front) == [(1, 0)]
     assert front.smallest_sum_ns(PERIOD) == PERIOD
 
 
 def test_nothing_arrived_and_no_pair_will_do() -> None:
     span = Span(5, PERIOD)
-    empty = tolerance_front(log_of([], span), span)
+    empty = front_of(log_of([], span), span)
     assert _pairs(empty) == []
     assert empty.smallest_sum_ns(PERIOD) is None
     assert _pairs(common_front([empty, Front(np.array([1]), np.array([0]))])) == []
@@ -222,6 +226,6 @@ def test_a_long_log_is_no_trouble() -> None:
     stamp = np.arange(n)
     arrival = stamp * PERIOD + rng.permutation(n)
     log = EdgeLog(stamp, stamp, arrival, np.where(arrival < span.end_ns, Fate.DELIVERED, Fate.IN_FLIGHT))
-    front = tolerance_front(log, span)
+    front = front_of(log, span)
     assert (np.diff(front.k_star) < 0).all()
     assert (np.diff(front.h_ns) > 0).all()
