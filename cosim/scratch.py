@@ -7,13 +7,18 @@ import os
 import shutil
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+
+from network.transport import SOCKET_PATH_BYTES
 
 if sys.platform != "win32":  # there an open file cannot be removed: a killed process leaves its folder
     import fcntl
 
 _PREFIX = "cosim-"
 _LOCK = "lock"
+_SOCKET = "hub"
 _own: dict[str, Scratch] = {}
 """By path, with a slash at the end, all that this process, or the one whose fork it is, made and has not removed."""
 
@@ -28,11 +33,15 @@ class Scratch:
 
     Attributes:
         path: of the folder.
+
+    Args:
+        above: folder for it; where temporary files belong, if none is given.
     """
 
-    def __init__(self) -> None:
-        _sweep()
-        self.path = Path(tempfile.mkdtemp(prefix=_PREFIX))
+    def __init__(self, above: Path | None = None) -> None:
+        above = above or Path(tempfile.gettempdir())
+        _sweep(above)
+        self.path = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=above))
         self._process = os.getpid()
         _own[f"{self.path}{os.sep}"] = self
         new = self.path / "new"
@@ -61,11 +70,22 @@ def remove_all() -> None:
             scratch.remove()
 
 
-def _sweep() -> None:
+@contextmanager
+def place_for_socket(folder: Path) -> Iterator[Path]:
+    """A path for a Unix socket: in the folder, or if that is too long for one, in a folder of its own below /tmp."""
+    path = folder / _SOCKET
+    if len(os.fsencode(path)) <= SOCKET_PATH_BYTES:
+        yield path
+        return
+    with Scratch(Path("/tmp")) as short:  # noqa: S108 - in a new folder
+        yield short / _SOCKET
+
+
+def _sweep(above: Path) -> None:
     """Remove the folders of this user that nobody holds."""
     if sys.platform == "win32":
         return
-    for path in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*/{_LOCK}"):
+    for path in above.glob(f"{_PREFIX}*/{_LOCK}"):
         with contextlib.suppress(OSError), path.open("rb") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if path.stat().st_uid == os.getuid():

@@ -7,6 +7,7 @@ name, and its name is what its certificate says; `<name>.<number>`, which replac
 from __future__ import annotations
 
 import ipaddress
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +24,7 @@ from network.keyfiles import (
     check,
     read_certificates,
 )
-from network.transport import HUB
+from network.transport import HUB, SOCKET_PATH_BYTES
 
 TLS, TCP, UNIX = "tls", "tcp", "unixsock-stream"
 _ANY: Final = "*"  # a chunk of a key
@@ -312,9 +313,11 @@ def check_connect(endpoints: Sequence[str], keys: Path | None, insecure: bool, n
 
 def _faults(endpoint: Endpoint, keys: Path | None, insecure: bool, does: str) -> list[KeysError]:
     """What an endpoint says that must not be."""
-    if endpoint.protocol == UNIX:
-        return []
     text = endpoint.text
+    if endpoint.protocol == UNIX:
+        n_bytes = len(os.fsencode(text.partition("/")[2]))
+        room = f"the path of a socket has room for {SOCKET_PATH_BYTES} bytes, this one takes {n_bytes}"
+        return [KeysError(f"{text}: {room}; write a shorter one")] if n_bytes > SOCKET_PATH_BYTES else []
     if endpoint.protocol not in (TLS, TCP):
         return [KeysError(f"{text}: write tls/HOST:PORT (or {UNIX}/PATH, or tcp/127.0.0.1:PORT on one host)")]
     if not endpoint.host or not endpoint.port.isascii() or not endpoint.port.isdigit() or int(endpoint.port) > 65535:

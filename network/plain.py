@@ -69,12 +69,17 @@ class PlainKeys:
         except zenoh.ZError as error:
             verb, where = ("reach", connect) if connect else ("listen at", listen)
             raise TransportError(f"cannot {verb} {', '.join(where)}: {_short(error)}") from error
-        self._publishers = [
-            self._session.declare_publisher(key, encoding=zenoh.Encoding(encoding), **_QOS) for key, encoding in publish
-        ]
-        self._subscribers: list[Any] = [
-            self._session.declare_subscriber(key, zenoh.handlers.RingChannel(_KEPT)) for key in subscribe
-        ]
+        try:
+            self._publishers = [
+                self._session.declare_publisher(key, encoding=zenoh.Encoding(encoding), **_QOS)
+                for key, encoding in publish
+            ]
+            self._subscribers: list[Any] = [
+                self._session.declare_subscriber(key, zenoh.handlers.RingChannel(_KEPT)) for key in subscribe
+            ]
+        except BaseException:
+            self.close()
+            raise
 
     def put(self, index: int, payload: bytes, attachment: bytes | None = None) -> None:
         """Publish on key number `index`; if the receiver's link is congested, the message is dropped."""

@@ -6,6 +6,7 @@ only. Messages from one sender to one receiver arrive in order, once and whole, 
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from collections import deque
@@ -34,6 +35,9 @@ __all__ = [
 
 HUB: Final = "orchestrator"
 """Name of the process at the centre."""
+
+SOCKET_PATH_BYTES: Final = 103 if sys.platform == "darwin" else 107
+"""For which the path of a Unix socket has room (unix(7))."""
 
 
 class TransportError(RuntimeError):
@@ -75,7 +79,8 @@ class Endpoint(Protocol):
         """Send one message; `parts` are joined, and may be changed afterwards.
 
         Raises:
-            PeerLost: the connection is known to be gone.
+            PeerLost: the connection to the hub is known to be gone.
+            TransportError: this is the hub, and its own end is gone.
         """
 
     def receive(self, timeout: float) -> Envelope:
@@ -87,6 +92,7 @@ class Endpoint(Protocol):
         Raises:
             TransportTimeout: nothing arrived.
             PeerLost: a process is gone.
+            TransportError: this is the hub, and its own end is gone.
             WireError: what arrived must not be used.
         """
 

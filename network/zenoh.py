@@ -10,17 +10,14 @@ import atexit
 import json
 import math
 import os
-import shutil
 import socket
-import tempfile
 import threading
 import time
 import uuid
 from collections import deque
-from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final, Self
 
 # Two threads for all of Zenoh: a fifth less time per exchange than by default. Receiving has one of its own, because
@@ -193,23 +190,58 @@ class ZenohEndpoint:
         self._threads: list[threading.Thread] = []
         self._token = token
         self._own_key = keys.message(name, name)
-        self._subscriber = session.declare_subscriber(keys.inbox(name), zenoh.handlers.FifoChannel(_INBOX))
-        self._inbox: _Samples = self._subscriber.handler
         self._alarm = _Alarm(self._wake)
         atexit.register(self.leave)  # threads that wait in Zenoh while the interpreter ends would abort the process
 
+    def begin(self) -> None:
+        """Receive from now on, then be seen: whoever sees us reaches us.
+
+        Raises:
+            TransportError: the session is gone.
+        """
+        with self._using_session("begin"):
+            self._subscriber = self._session.declare_subscriber(
+                self._keys.inbox(self.name), zenoh.handlers.FifoChannel(_INBOX)
+            )
+            self._inbox: _Samples = self._subscriber.handler
+            self._look_around()
+            self._liveliness = self._session.liveliness().declare_token(self._keys.alive(self.name, self._token))
+
+    def _look_around(self) -> None:
+        """Declare what else there is to hear of."""
+
+    @contextmanager
+    def _using_session(self, what: str) -> Iterator[None]:
+        """Zenoh's only error here is that the session is closed, which it is by itself where all is lost."""
+        try:
+            yield
+        except zenoh.ZError as error:
+            raise self._broken(f"cannot {what}: {error}") from error
+
+    def _broken(self, why: str) -> TransportError:
+        return TransportError(f"{self.name} {why}")
+
     def send(self, receiver: str, kind: Kind, tick: int, *parts: Part) -> None:
         self._check_open()
-        publisher = self._publishers.get(receiver)
-        if publisher is None:
-            publisher = self._session.declare_publisher(self._keys.message(receiver, self.name), **_QOS)
-            self._publishers[receiver] = publisher
         frame = self._streams.encode(receiver, kind, tick, parts)
-        for sent in (frame,) if self._tamper is None else self._tamper(self.name, receiver, frame):
-            publisher.put(sent)
+        try:
+            publisher = self._publishers.get(receiver)
+            if publisher is None:
+                publisher = self._session.declare_publisher(self._keys.message(receiver, self.name), **_QOS)
+                self._publishers[receiver] = publisher
+            for sent in (frame,) if self._tamper is None else self._tamper(self.name, receiver, frame):
+                publisher.put(sent)
+        except zenoh.ZError as error:
+            raise self._broken(f"cannot send to {receiver}: {error}") from error
 
     def receive(self, timeout: float) -> Envelope:
         self._check_open()
+        try:
+            return self._receive(timeout)
+        except zenoh.ZError as error:
+            raise self._broken(f"cannot receive: {error}") from error
+
+    def _receive(self, timeout: float) -> Envelope:
         deadline: float | None = None
         while True:
             some_lost = bool(self._losses)  # looked at first: what arrived before a loss comes out before it
@@ -254,11 +286,8 @@ class ZenohEndpoint:
 
     def _wake(self) -> None:
         """End a `recv` that takes no timeout: a message to ourselves, which never leaves the session."""
-        try:
+        with suppress(zenoh.ZError):  # the session is closed, which ends it as well
             self._session.put(self._own_key, b"", allowed_destination=zenoh.Locality.SESSION_LOCAL, **_QOS)
-        except zenoh.ZError:
-            if not self._closed:
-                raise
 
     def _lose(self, name: str, reason: str) -> None:
         self._losses.append(PeerLost(name, reason))
@@ -290,10 +319,6 @@ class ZenohEndpoint:
         thread = threading.Thread(target=loop, name=f"{self.name} {act.__name__}", daemon=True)
         thread.start()
         self._threads.append(thread)
-
-    def _appear(self) -> None:
-        """Become visible; the subscriptions are declared before, so that whoever sees us reaches us."""
-        self._liveliness = self._session.liveliness().declare_token(self._keys.alive(self.name, self._token))
 
     def close(self) -> None:
         self.leave()
@@ -328,25 +353,28 @@ class _Member:
 class ZenohHub(ZenohEndpoint):
     """The hub's endpoint: see `network.transport.Hub`, and `open_hub`."""
 
-    def __init__(  # noqa: PLR0917
-        self,
-        session: zenoh.Session,
-        keys: _Keys,
-        run: str,
-        endpoints: tuple[str, ...],
-        folder: Path | None,
-        tamper: Tamper | None,
+    def __init__(
+        self, session: zenoh.Session, keys: _Keys, run: str, endpoints: tuple[str, ...], tamper: Tamper | None
     ) -> None:
         super().__init__(session, keys, run, HUB, str(session.info.zid()), tamper)
         self.endpoints = endpoints
         self._run = run
-        self._folder = folder
         self._members: dict[str, _Member] = {}
         self._alive: dict[str, bool] = {}  # by token; False: it was alive
+
+    def _look_around(self) -> None:
         self._watch("*", self._liveliness_changed)
-        joining = session.declare_queryable(keys.join("*"), zenoh.handlers.FifoChannel(_INBOX))
+        joining = self._session.declare_queryable(self._keys.join("*"), zenoh.handlers.FifoChannel(_INBOX))
         self._serve(joining.recv, self._answer)
-        self._appear()
+
+    def has_another(self, timeout: float) -> bool:
+        """Whether the run has a hub; before this one has begun.
+
+        Raises:
+            TransportError: the session is gone.
+        """
+        with self._using_session("begin"):
+            return any(r.ok for r in self._session.liveliness().get(self._keys.alive(HUB, "*"), timeout=timeout))
 
     @property
     def peers(self) -> frozenset[str]:
@@ -360,11 +388,6 @@ class ZenohHub(ZenohEndpoint):
         while watch.missing(present := self.peers):
             with self._changed:
                 self._changed.wait_for(lambda: self.peers != present, watch.left())
-
-    def close(self) -> None:
-        self.leave()
-        if self._folder is not None:
-            shutil.rmtree(self._folder, ignore_errors=True)
 
     def forget(self, name: str) -> None:
         with self._changed:
@@ -416,8 +439,12 @@ class ZenohClient(ZenohEndpoint):
         super().__init__(session, keys, run, name, uuid.uuid4().hex, tamper)
         self._run = run
         self._hub_is_there = False
+
+    def _look_around(self) -> None:
         self._watch(HUB, self._hub_changed)
-        self._appear()
+
+    def _broken(self, why: str) -> TransportError:
+        return PeerLost(HUB, f"{self.name} {why}")
 
     def join(self, deadline: float, waiting: Callable[[str], None]) -> None:
         """Ask the hub, as soon as it is there.
@@ -425,7 +452,12 @@ class ZenohClient(ZenohEndpoint):
         Raises:
             TransportTimeout: it is not there at `deadline` (of `time.monotonic`), or does not answer.
             Refused: it says no.
+            PeerLost: the session is gone.
         """
+        with self._using_session("join"):
+            self._join(deadline, waiting)
+
+    def _join(self, deadline: float, waiting: Callable[[str], None]) -> None:
         where = f"process {os.getpid()} on {socket.gethostname()}"
         content = {"token": self._token, "where": where}
         hello = Streams(self._run, self.name).encode(HUB, Kind.HELLO, 0, encode_object(content))
@@ -504,7 +536,7 @@ class ZenohClient(ZenohEndpoint):
 
     def close(self) -> None:
         if not self._closed and not self._losses:
-            with suppress(zenoh.ZError):
+            with suppress(PeerLost):
                 self.send(HUB, Kind.BYE, 0)
         self.leave()
 
@@ -523,9 +555,8 @@ def open_hub(
 
     Args:
         run: identifies the run.
-        listen: Zenoh endpoints, such as `tcp/127.0.0.1:7447`; if neither this nor `connect` is given, a Unix socket in
-            a new folder that only this user can enter.
-        connect: endpoints of a router of the user's, instead.
+        listen: Zenoh endpoints, such as `tcp/127.0.0.1:7447`.
+        connect: endpoints of a router, instead.
         namespace: keeps runs on one router apart.
         settings: of Zenoh, by path (`transport/link/tls/…`), added to ours.
         timeout: seconds to reach `connect`.
@@ -536,22 +567,18 @@ def open_hub(
         Refused: the run has an orchestrator.
     """
     keys = _keys(run, namespace)
-    folder = None
-    if not listen and not connect:
-        folder = _private_folder()
-        listen = [f"unixsock-stream/{folder / 'hub'}"]
     own = _connecting(connect, timeout) if connect else _listening(listen)
     try:
         session = open_session({**own, **(settings or {})})
     except zenoh.ZError as error:
-        if folder is not None:
-            shutil.rmtree(folder, ignore_errors=True)
         verb, where = ("reach", connect) if connect else ("listen at", listen)
         raise TransportError(f"{HUB}: cannot {verb} {', '.join(where)}: {error}") from error
-    if connect and any(reply.ok for reply in session.liveliness().get(keys.alive(HUB, "*"), timeout=timeout)):
-        session.close()  # type: ignore[no-untyped-call]
-        raise Refused(f"run {run} has an orchestrator already")
-    return ZenohHub(session, keys, run, tuple(connect or listen), folder, tamper)
+    hub = ZenohHub(session, keys, run, tuple(connect or listen), tamper)
+    with _left_if_it_fails(hub):
+        if connect and hub.has_another(timeout):
+            raise Refused(f"run {run} has an orchestrator already")
+        hub.begin()
+    return hub
 
 
 def connect(
@@ -582,6 +609,7 @@ def connect(
     Raises:
         TransportTimeout: no orchestrator of that run was found.
         Refused: it says why this process may not join.
+        PeerLost: the connection is gone.
     """
     deadline = time.monotonic() + timeout
     keys = _keys(run, namespace)
@@ -591,12 +619,20 @@ def connect(
     else:
         session = _reach(name, endpoints, settings or {}, deadline, waiting)
     endpoint = ZenohClient(session, keys, run, name, tamper)
-    try:
+    with _left_if_it_fails(endpoint):
+        endpoint.begin()
         endpoint.join(deadline, waiting)
+    return endpoint
+
+
+@contextmanager
+def _left_if_it_fails(endpoint: ZenohEndpoint) -> Iterator[None]:
+    """A session that nobody gets is closed."""
+    try:
+        yield
     except BaseException:
         endpoint.leave()
         raise
-    return endpoint
 
 
 def _listen(name: str, endpoints: Sequence[str], settings: Mapping[str, object]) -> zenoh.Session:
@@ -624,12 +660,3 @@ def _reach(
             if time.monotonic() >= deadline:
                 raise TransportTimeout(f"{name}: {what}: {error}") from error
             waiting(what)
-
-
-def _private_folder() -> Path:
-    """A new folder of mode 0700 whose path leaves room for a name: that of a socket has at most 107 bytes."""
-    folder = Path(tempfile.mkdtemp(prefix="cosim-"))
-    if len(os.fsencode(folder)) > 80:
-        folder.rmdir()
-        folder = Path(tempfile.mkdtemp(prefix="cosim-", dir="/tmp"))
-    return folder

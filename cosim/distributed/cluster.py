@@ -19,7 +19,7 @@ from cosim.errors import ClusterError, CosimError
 from cosim.plan import Plan, Workers
 from cosim.running.inline import Interrupted, Observer, Take
 from cosim.running.pacing import Pacer
-from cosim.scratch import Scratch
+from cosim.scratch import Scratch, place_for_socket
 from network.transport import Hub, TransportError
 
 PER_AGENT: Final = "per-agent"
@@ -91,7 +91,11 @@ def run(  # noqa: PLR0917
     if isinstance(workers, int):
         workers = divide(len(plan.agents), workers)
     run_id = secrets.token_hex(8)
-    with Scratch() as scratch, Processes(run_id, f"unixsock-stream/{scratch / 'hub'}", scratch) as processes:
+    with (
+        Scratch() as scratch,
+        place_for_socket(scratch) as socket,
+        Processes(run_id, f"unixsock-stream/{socket}", scratch) as processes,
+    ):
         if folder is not None:
             leave_word(scratch, folder)
         processes.start((EMULATOR, *workers))

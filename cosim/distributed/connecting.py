@@ -130,6 +130,8 @@ class Place:
             raise CosimError(str(error)) from error
         except TransportTimeout as error:
             raise ClusterError(f"{error} (after {seconds:g} s)") from error
+        except TransportError as error:
+            raise ClusterError(str(error)) from error
 
     def _settings(self, names: Sequence[str]) -> dict[str, object]:
         if self.keys is None:

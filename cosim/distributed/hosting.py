@@ -94,8 +94,12 @@ def gather(
             tell(f"waiting for {', '.join(missing)}" if missing else "all are there; waiting until they are ready")
         if time.monotonic() > deadline:
             raise ClusterError(f"not there after {seconds:g} s: {', '.join(missing) or 'all, but not all are ready'}")
-        with suppress(TransportTimeout):
+        try:
             _receive(hub, lobby)
+        except TransportTimeout:
+            pass
+        except TransportError as error:
+            raise ClusterError(str(error)) from error
         for news in lobby.news:
             tell(news)
         lobby.news.clear()
@@ -127,7 +131,7 @@ def _farewell(hub: Hub) -> Iterator[None]:
         raise
     finally:
         for name in hub.peers:
-            with suppress(PeerLost):
+            with suppress(TransportError):
                 hub.send(name, Kind.BYE, 0, *encode_object({"message": why}))
         await_departure(hub, hub.peers, _FAREWELL_SECONDS)
 
@@ -136,8 +140,12 @@ def await_departure(hub: Hub, names: Collection[str], seconds: float) -> None:
     """Give processes time to leave in good order."""
     deadline = time.monotonic() + seconds
     while hub.peers.intersection(names) and (left := deadline - time.monotonic()) > 0:
-        with suppress(TransportError, WireError):
+        try:
             hub.receive(min(left, _WATCH_SECONDS))
+        except (PeerLost, TransportTimeout, WireError):
+            continue
+        except TransportError:  # nobody can be heard any more
+            return
 
 
 def _way_to_play(  # noqa: PLR0917

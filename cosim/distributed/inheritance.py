@@ -16,6 +16,9 @@ from cosim.errors import CosimError
 EXIT_ORPHANED = 4
 """Exit code of a process whose orchestrator is gone."""
 
+EXIT_OUTSIDE = 5
+"""Exit code of a process that could not join its run."""
+
 _WORD = "run-folder"
 _LOCK_SECONDS = 10.0  # in which the system closes the files of a process that it has killed
 _RECOVERY_SECONDS = 120.0

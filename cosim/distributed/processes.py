@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from cosim.distributed import whereabouts
-from cosim.distributed.inheritance import EXIT_ORPHANED
+from cosim.distributed.inheritance import EXIT_ORPHANED, EXIT_OUTSIDE
 from cosim.distributed.replacement import Moment
 from cosim.errors import ClusterError
 from cosim.spawning import await_death, how_it_ended, search_path, signal_name
@@ -84,6 +84,8 @@ class Processes:
             return _stopped(process.pid)
         if code == EXIT_ORPHANED:
             return "ended because it had lost its connection to the others"
+        if code == EXIT_OUTSIDE:
+            return "could not join the run (it says why above)"
         return how_it_ended(code)
 
     def moment(self, name: str) -> Moment | None:

@@ -25,7 +25,7 @@ from typing import BinaryIO, NoReturn, Protocol, cast
 from cosim.distributed.assignment import EMULATOR, ORCHESTRATOR, Job, Message
 from cosim.distributed.emulation import Emulation
 from cosim.distributed.failure import OPENING, Failure
-from cosim.distributed.inheritance import EXIT_ORPHANED, bequest, inherit, run_folder
+from cosim.distributed.inheritance import EXIT_ORPHANED, EXIT_OUTSIDE, bequest, inherit, run_folder
 from cosim.distributed.worker import Worker
 from cosim.errors import ClusterError, CosimError
 from cosim.logs import LOG_FOLDER, NO_LOGS, Logs
@@ -206,7 +206,7 @@ def main(args: argparse.Namespace) -> NoReturn:
     """What `cosim` starts for every worker and for the emulator; see `cosim.distributed.cluster`."""
     tempfile.tempdir = str(args.scratch)
     orphaned, folder = threading.Event(), bequest(args.scratch, args.name)
-    guard = threading.Thread(target=_guard, args=(args.scratch, folder, orphaned), name="guard", daemon=True)
+    guard = threading.Thread(target=_guard, args=(args, folder, orphaned), name="guard", daemon=True)
     guard.start()
     listen = args.name == EMULATOR  # half the way for samples and mail: the router is where they go
     if not listen:
@@ -223,11 +223,11 @@ def main(args: argparse.Namespace) -> NoReturn:
     except PeerLost:
         code = EXIT_ORPHANED
         if orphaned.wait(_GRACE_SECONDS):  # else it is the router that is gone, and the orchestrator clears up
-            shutil.rmtree(args.scratch, ignore_errors=True)
+            _clear_up(args)
     except (Refused, TransportTimeout) as error:
         print(f"error: {args.name} cannot join the run: {error}", file=sys.stderr)
-        code = EXIT_ORPHANED
-    if code == EXIT_ORPHANED and folder is not None and orphaned.wait(_GRACE_SECONDS):
+        code = EXIT_OUTSIDE
+    if code and folder is not None and orphaned.wait(_GRACE_SECONDS):
         guard.join()  # it ends the process, when it has done all that is to be done
     sys.stdout.flush()
     sys.stderr.flush()
@@ -247,7 +247,13 @@ def _logs(args: argparse.Namespace) -> Iterator[Logs]:
         yield logs
 
 
-def _guard(scratch: Path, folder: Path | None, orphaned: threading.Event) -> None:
+def _clear_up(args: argparse.Namespace) -> None:
+    """Remove the run's temporary folder, and that of its socket: the orchestrator cannot do it any more."""
+    for folder in (args.scratch, Path(args.endpoint.partition("/")[2]).parent):
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _guard(args: argparse.Namespace, folder: Path | None, orphaned: threading.Event) -> None:
     """End the process once the orchestrator is gone, whatever its main thread is doing."""
     while os.read(0, 1):
         pass
@@ -257,5 +263,5 @@ def _guard(scratch: Path, folder: Path | None, orphaned: threading.Event) -> Non
     with suppress(Exception):  # nobody is left to be told
         if folder is not None:
             inherit(folder, EXIT_ORPHANED)
-    shutil.rmtree(scratch, ignore_errors=True)  # the orchestrator cannot do it any more
+    _clear_up(args)
     os._exit(EXIT_ORPHANED)

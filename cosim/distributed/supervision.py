@@ -20,7 +20,7 @@ from cosim.errors import ClusterError, CosimError, RunEndedError
 from cosim.plan import Plan
 from cosim.running.inline import Interrupted
 from cosim.running.pacing import Pacer
-from network.transport import Hub, PeerLost, TransportTimeout, WireError
+from network.transport import Hub, PeerLost, TransportError, TransportTimeout, WireError
 from network.units import to_seconds
 
 Tell: TypeAlias = Callable[[str, Mapping[str, Any] | None], None]
@@ -97,6 +97,9 @@ class Supervisor:
             sent = carried(self._plan, error.sender, self._orchestration.workers)
             text = f"{error}; tick {self._orchestration.recorded} is the last one recorded\n  {sent} sent it"
             raise ClusterError(text) from error
+        except TransportError as error:
+            why = str(error)
+            raise ClusterError(f"{error}; tick {self._orchestration.recorded} is the last one recorded") from error
         except RunEndedError as ended:
             farewell, why, regular = _FAREWELL_SECONDS, str(ended).partition("\n")[0], True
             raise
@@ -345,7 +348,7 @@ class Supervisor:
                 send(self._hub, orchestration.handle(self._hub.receive(max(0.0, left))))
             except (PeerLost, WireError):
                 continue
-            except (TransportTimeout, CosimError):
+            except (TransportError, CosimError):
                 return
             if orchestration.all_answered(but):
                 if orchestration.settled(but):
@@ -360,7 +363,7 @@ class Supervisor:
         for last in (False, True):
             for message in farewells:
                 if (message.receiver == EMULATOR) == last:
-                    with suppress(PeerLost):
+                    with suppress(TransportError):
                         send(self._hub, [message])
             self._processes.await_all(seconds, () if last else (EMULATOR,))
         self._processes.end()  # a connection to a process that is stopped would take its time to close

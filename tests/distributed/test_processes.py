@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import re
 import signal
+import stat
 import subprocess
 import sys
+import tempfile
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -19,6 +23,8 @@ from cosim.distributed import cluster
 from cosim.distributed.processes import Processes
 from cosim.errors import ClusterError
 from cosim.running.inline import Interrupted
+from cosim.scratch import Scratch, place_for_socket
+from network.zenoh import ZenohHub
 from tests.distributed.networks import Record, in_process, planned, ring, scenario
 from tests.distributed.processes import (
     At,
@@ -294,3 +300,64 @@ def test_process_that_does_not_die_is_left_behind_with_a_word(
         capfd.readouterr().err
     )
     process.wait(60)  # it saw its standard input end
+
+
+# --- the socket of the run --------------------------------------------------------------------------------------------
+LONG = "l" * 115
+
+
+@pytest.mark.parametrize("killed", [False, True], ids=["complete", "orchestrator killed"])
+def test_temporary_folder_whose_name_is_too_long_for_a_socket(killed: bool, tmp_path: Path) -> None:
+    faults = {1: ("OrphanMaker", 0.25)} if killed else {}
+    (tmp_path / "net.yaml").write_text(scenario(3, ring(3), faults=faults))
+    (tmp_path / LONG).mkdir()
+    before = set(Path("/tmp").glob("cosim-*"))
+    done = subprocess.run(
+        command("net.yaml", "--distributed", "--workers", "2", "--out", "out"),
+        cwd=tmp_path,
+        env=environment(tmp_path / LONG),
+        text=True,
+        capture_output=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == (-signal.SIGKILL if killed else 0), done.stderr
+    assert manifest(tmp_path / "out")["status"].startswith("aborted: " if killed else "complete")
+    assert_nothing_left(tmp_path / LONG)
+    left = [path for path in set(Path("/tmp").glob("cosim-*")) - before if (path / "hub").exists()]
+    lines = [path.read_bytes() for path in Path("/proc").glob("[0-9]*/cmdline") if path.exists()]
+    assert [path for path in left if not any(str(path).encode() in line for line in lines)] == []  # of other runs
+
+
+def test_folders_of_a_run_are_for_its_user_alone(scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(scratch / LONG))
+    (scratch / LONG).mkdir()
+    with Scratch() as folder, place_for_socket(folder) as socket:
+        assert len(os.fsencode(socket)) < 100
+        assert {stat.S_IMODE(path.stat().st_mode) for path in (folder, socket.parent)} == {0o700}
+    assert not socket.parent.exists()
+    assert_nothing_left(scratch / LONG)
+
+
+def test_emulator_that_cannot_listen(
+    scratch: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cluster, "place_for_socket", lambda _: nullcontext(scratch / "not there" / "hub"))
+    with pytest.raises(ClusterError, match=r"^the emulator could not join the run \(it says why above\) before"):
+        cluster.run(planned(scenario(3, ring(3))), 2, [Record()])
+    assert "error: emulator cannot join the run: emulator: cannot listen at unixsock-stream/" in capfd.readouterr().err
+    assert_nothing_left(scratch)
+
+
+def test_session_of_the_orchestrator_that_breaks(scratch: Path) -> None:
+    """As Zenoh closes it where it cannot go on."""
+
+    def breaks() -> None:
+        (hub,) = [thing for thing in gc.get_objects() if isinstance(thing, ZenohHub) and not thing._closed]
+        hub._session.close()  # type: ignore[no-untyped-call]
+
+    record = Record()
+    with pytest.raises(ClusterError, match=r"^orchestrator cannot .*; tick \d+ is the last one recorded$"):
+        cluster.run(planned(scenario(3, ring(3), "slack", ticks=20_000)), 2, [record, At(20, breaks)])
+    assert len(record.ticks) > 20
+    assert_nothing_left(scratch)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -59,6 +60,12 @@ def test_endpoints_that_would_not_be_protected_are_refused(
 @pytest.mark.parametrize("endpoint", ["tls/127.0.0.1:0", "tls/HUB.lab:7447", "tls/0.0.0.0:7447", "tls/[::]:7447"])
 def test_endpoints_with_keys(team: Path, endpoint: str) -> None:
     assert check_listen([endpoint, "unixsock-stream//tmp/x"], team / "orchestrator", insecure=False) == []
+
+
+def test_a_path_that_is_too_long_for_a_socket_is_refused() -> None:
+    for check, more in ((check_listen, ()), (check_connect, ("worker-1",))):
+        (fault,) = check([f"unixsock-stream//{'x' * 107}"], None, False, *more)  # type: ignore[operator]
+        assert re.search("room for 10[37] bytes, this one takes 108; write a shorter one", fault.what)
 
 
 def test_tls_needs_keys() -> None:

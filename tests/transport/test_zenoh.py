@@ -5,15 +5,15 @@ from __future__ import annotations
 import os
 import signal
 import socket
-import stat
 import threading
 import time
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+import zenoh
 
 from network import envelope
 from network.transport import (
@@ -25,7 +25,7 @@ from network.transport import (
     TransportTimeout,
     WireError,
 )
-from network.zenoh import ZenohHub, connect, open_hub
+from network.zenoh import ZenohEndpoint, ZenohHub, connect, open_hub
 from tests.transport.peer import PATIENCE, flood, peer
 
 
@@ -40,21 +40,22 @@ def run() -> str:
     return uuid.uuid4().hex[:8]
 
 
+@pytest.fixture
+def place(tmp_path: Path) -> list[str]:
+    return [f"unixsock-stream/{tmp_path}/hub"]
+
+
 @pytest.fixture(params=["unix", "tcp"])
-def hub(request: pytest.FixtureRequest, run: str) -> Iterator[ZenohHub]:
-    listen = [] if request.param == "unix" else [f"tcp/127.0.0.1:{free_port()}"]
+def hub(request: pytest.FixtureRequest, run: str, place: list[str]) -> Iterator[ZenohHub]:
+    listen = place if request.param == "unix" else [f"tcp/127.0.0.1:{free_port()}"]
     with open_hub(run, listen=listen) as opened:
         yield opened
 
 
 @pytest.fixture
-def unix_hub(run: str) -> Iterator[ZenohHub]:
-    with open_hub(run) as opened:
+def unix_hub(run: str, place: list[str]) -> Iterator[ZenohHub]:
+    with open_hub(run, listen=place) as opened:
         yield opened
-
-
-def socket_of(hub: ZenohHub) -> Path:
-    return Path(hub.endpoints[0].partition("/")[2])
 
 
 # --- messages ----------------------------------------------------------------------------------------------------
@@ -259,10 +260,10 @@ def test_another_version_is_refused_with_both_named(
             )
 
 
-def test_two_runs_share_a_router_of_the_users(run: str) -> None:
-    with open_hub("router") as router, ExitStack() as stack:
-        places: list[tuple[str, str | None]] = [(run, None), (run, "team"), (f"{run}-2", None)]
-        for at, (name, namespace) in enumerate(places):
+def test_two_runs_share_a_router_of_the_users(run: str, place: list[str]) -> None:
+    with open_hub("router", listen=place) as router, ExitStack() as stack:
+        runs: list[tuple[str, str | None]] = [(run, None), (run, "team"), (f"{run}-2", None)]
+        for at, (name, namespace) in enumerate(runs):
             hub = stack.enter_context(open_hub(name, connect=router.endpoints, namespace=namespace))
             worker = stack.enter_context(connect(name, "worker-1", hub.endpoints, namespace=namespace))
             other = stack.enter_context(connect(name, "worker-2", hub.endpoints, namespace=namespace))
@@ -333,8 +334,8 @@ def test_a_process_that_leaves_without_a_word_neither_hangs_nor_goes_unnoticed(u
         lost(unix_hub, "worker-1")
 
 
-def test_the_loss_of_the_hub_is_told_to_all_every_time(run: str) -> None:
-    hub = open_hub(run)
+def test_the_loss_of_the_hub_is_told_to_all_every_time(run: str, place: list[str]) -> None:
+    hub = open_hub(run, listen=place)
     with connect(run, "worker-1", hub.endpoints) as worker:
         hub.await_peers(["worker-1"], PATIENCE)
         hub.send("worker-1", Kind.GRANT, 1)
@@ -347,8 +348,8 @@ def test_the_loss_of_the_hub_is_told_to_all_every_time(run: str) -> None:
                 worker.send(HUB, Kind.DONE, 0)
 
 
-def test_other_processes_see_the_hub_go(run: str) -> None:
-    hub = open_hub(run)
+def test_other_processes_see_the_hub_go(run: str, place: list[str]) -> None:
+    hub = open_hub(run, listen=place)
     with peer(run, "worker-1", hub.endpoints[0], "outlive") as worker:
         hub.receive(PATIENCE).expect(Kind.READY)
         hub.close()
@@ -367,8 +368,8 @@ def test_who_says_bye_is_not_lost(unix_hub: ZenohHub, run: str) -> None:
             unix_hub.receive(0.05)
 
 
-def test_a_hub_that_says_bye_is_not_lost(run: str) -> None:
-    hub = open_hub(run)
+def test_a_hub_that_says_bye_is_not_lost(run: str, place: list[str]) -> None:
+    hub = open_hub(run, listen=place)
     with connect(run, "worker-1", hub.endpoints) as worker:
         hub.await_peers(["worker-1"], PATIENCE)
         hub.send("worker-1", Kind.BYE, 0)
@@ -388,24 +389,13 @@ def test_nonsense_does_not_keep_others_from_joining(unix_hub: ZenohHub, run: str
 
 
 # --- the host ----------------------------------------------------------------------------------------------------
-def test_the_socket_is_private_and_goes_with_the_hub(run: str) -> None:
-    with open_hub(run) as hub:
-        folder = socket_of(hub).parent
-        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
-    assert not folder.exists()
+def test_the_socket_goes_with_the_hub(run: str, place: list[str], tmp_path: Path) -> None:
+    with open_hub(run, listen=place) as hub:
+        assert (tmp_path / "hub").is_socket()
+    assert not (tmp_path / "hub").exists()
     hub.close()
     with pytest.raises(TransportError, match="the endpoint is closed"):
         hub.receive(0)
-
-
-def test_a_long_temporary_folder_leaves_room_for_the_socket(
-    run: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    deep = tmp_path / ("deep" * 20)
-    deep.mkdir()
-    monkeypatch.setattr("tempfile.tempdir", str(deep))
-    with open_hub(run) as hub, connect(run, "worker-1", hub.endpoints):
-        assert len(os.fsencode(socket_of(hub))) < 100
 
 
 def test_a_port_in_use_is_said(run: str) -> None:
@@ -424,15 +414,15 @@ def test_names_that_are_no_part_of_a_key_are_refused(unix_hub: ZenohHub, run: st
     with pytest.raises(ValueError, match="write letters"):
         connect(run, name, unix_hub.endpoints)
     with pytest.raises(ValueError, match="write letters"):
-        open_hub(name)
+        open_hub(name, listen=["unixsock-stream/nowhere"])
     with pytest.raises(ValueError, match="write letters"):
-        open_hub(run, namespace=name)
+        open_hub(run, listen=["unixsock-stream/nowhere"], namespace=name)
 
 
-def test_nothing_stays_behind(run: str) -> None:
+def test_nothing_stays_behind(run: str, place: list[str]) -> None:
     before = set(threading.enumerate())
     for _ in range(3):
-        with open_hub(run) as hub, connect(run, "worker-1", hub.endpoints):
+        with open_hub(run, listen=place) as hub, connect(run, "worker-1", hub.endpoints):
             pass
     assert set(threading.enumerate()) == before
 
@@ -442,3 +432,48 @@ def test_a_process_ends_when_the_hub_goes(unix_hub: ZenohHub, run: str) -> None:
         assert started.line() == "joined"
         unix_hub.close()
         assert started.end() == 1
+
+
+# --- sessions that break -----------------------------------------------------------------------------------------
+def test_a_session_that_is_gone_is_an_error_of_the_transport(run: str, place: list[str]) -> None:
+    """As Zenoh closes it where it cannot go on."""
+    with open_hub(run, listen=place) as hub, connect(run, "worker-1", hub.endpoints) as worker:
+        hub.await_peers(["worker-1"], PATIENCE)
+        worker._session.close()  # type: ignore[no-untyped-call]
+        for act in (lambda: worker.send(HUB, Kind.DONE, 0), lambda: worker.receive(PATIENCE)):
+            with pytest.raises(PeerLost, match=r"^orchestrator: worker-1 cannot (send|receive)"):
+                act()
+        hub._session.close()  # type: ignore[no-untyped-call]
+        with pytest.raises(TransportError, match=r"^orchestrator cannot send to worker-1: session closed"):
+            hub.send("worker-1", Kind.GRANT, 0)
+        with pytest.raises(TransportError, match=r"^orchestrator cannot receive: "):
+            hub.receive(PATIENCE)
+
+
+@pytest.mark.parametrize("opens", ["hub", "hub at a router", "process"])
+def test_a_session_that_nobody_gets_is_closed(
+    opens: str, run: str, place: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever fails after it was opened: at its end its connections, and the socket at which it listens, are gone."""
+
+    def fails(*_: object) -> None:
+        raise zenoh.ZError("session closed")
+
+    opening: dict[str, Callable[[], object]] = {
+        "hub": lambda: open_hub(run, listen=place),
+        "hub at a router": lambda: open_hub(run, connect=place),
+        "process": lambda: connect(run, "emulator", place, listen=True),
+    }
+    with ExitStack() as stack:
+        if opens == "hub at a router":
+            stack.enter_context(open_hub("router", listen=place))
+        before = set(threading.enumerate()), len(list(Path("/proc/self/fd").iterdir()))
+        with monkeypatch.context() as breaking:
+            breaking.setattr(ZenohEndpoint, "_serve", fails)
+            with pytest.raises(TransportError, match="cannot begin: session closed"):
+                opening[opens]()
+        deadline = time.monotonic() + PATIENCE
+        while (set(threading.enumerate()), len(list(Path("/proc/self/fd").iterdir()))) != before:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+    assert not (tmp_path / "hub").exists()
