@@ -6,10 +6,12 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from cosim.components.component import Value
 from cosim.components.units import Measure, Scale
 from cosim.errors import Problem, Severity
 from cosim.ssp.parameters import Binding, Entry, Parameter
 from cosim.ssp.structure import Component, Connection, Connector, System
+from cosim.ssp.transformations import Table
 
 Path = tuple[str, ...]
 End = tuple[Path, str]
@@ -37,15 +39,28 @@ class Setting:
     """A start value of a variable of an FMU.
 
     Attributes:
-        scale: on its way, or None.
+        transformation: on its way, or None.
         suppressed: its unit is not converted.
         units: what the units of its set mean.
     """
 
     parameter: Parameter
-    scale: Scale | None
+    transformation: Scale | Table | None
     suppressed: bool
     units: Mapping[str, Measure]
+
+    def looked_up(self, items: Mapping[str, int]) -> tuple[Value, ...]:
+        """The values of the parameter, after the table on their way, if there is one.
+
+        Args:
+            items: of the variable, which say what the names of an enumeration stand for where their set does not.
+
+        Raises:
+            ConfigError: the table is none for such values.
+        """
+        if not isinstance(self.transformation, Table):
+            return self.parameter.values
+        return self.transformation.apply(self.parameter.values, self.parameter.kind, self.parameter.items or items)
 
 
 @dataclass
@@ -92,7 +107,7 @@ def flatten(system: System) -> Flat:
             _wire(end, component, incoming, systems, flat)
     _outermost(system, incoming, outgoing, flat)
     for path in sorted(systems, key=len, reverse=True):  # what lies further out counts
-        _bind(path, systems[path], outgoing, systems, flat)
+        _bind(path, systems[path], incoming, outgoing, systems, flat)
     return flat
 
 
@@ -214,8 +229,13 @@ def _inner(end: End, outgoing: Mapping[End, list[End]], flat: Flat, depth: int =
 # --- parameters -------------------------------------------------------------------------------------------------------
 
 
-def _bind(
-    path: Path, system: System, outgoing: Mapping[End, list[End]], systems: Mapping[Path, System], flat: Flat
+def _bind(  # noqa: PLR0917
+    path: Path,
+    system: System,
+    incoming: Mapping[End, tuple[End, Connection]],
+    outgoing: Mapping[End, list[End]],
+    systems: Mapping[Path, System],
+    flat: Flat,
 ) -> None:
     """The bindings of a system's components, then those of the system itself."""
     for name, element in system.elements.items():
@@ -230,8 +250,22 @@ def _bind(
                 node = setting.parameter.node if entry is None else entry.node
                 text = f"system {system.name!r} has no parameter {name!r}; it is ignored"
                 flat.problems.append(Problem(text, node.where, Severity.WARNING))
-            for target in targets:
+            for begin, target in targets:
                 flat.settings[target] = setting
+                flat.problems += _scaled(begin, target, incoming)
+
+
+def _scaled(begin: End, target: End, incoming: Mapping[End, tuple[End, Connection]]) -> Iterator[Problem]:
+    """The transformations of connections that a value takes from a system's connector to a variable."""
+    end = target
+    for _ in incoming:
+        if end == begin or end not in incoming:
+            return
+        end, connection = incoming[end]
+        if connection.scale is not None:
+            name = ".".join((*target[0], target[1]))
+            text = f"the value of {name} comes through a LinearTransformation, which is not supported; bind it itself"
+            yield Problem(text, connection.node.where)
 
 
 def _knows(path: Path, name: str, systems: Mapping[Path, System]) -> bool:
@@ -252,21 +286,27 @@ def _settings(binding: Binding) -> Iterator[tuple[str, Setting, Entry | None]]:
         return
     for entry in binding.mapping:
         if entry.source in named:
-            yield entry.target, Setting(named[entry.source], entry.scale, entry.suppressed, binding.units), entry
+            yield entry.target, _mapped(named[entry.source], entry, binding), entry
+
+
+def _mapped(parameter: Parameter, entry: Entry, binding: Binding) -> Setting:
+    return Setting(parameter, entry.transformation, entry.suppressed, binding.units)
 
 
 def _targets(
     path: Path, name: str, outgoing: Mapping[End, list[End]], systems: Mapping[Path, System], flat: Flat
-) -> Iterator[End]:
-    """All variables of FMUs that a hierarchical name stands for in a system (SSP 2.0, 5.3.2)."""
+) -> Iterator[tuple[End, End]]:
+    """All variables of FMUs that a hierarchical name stands for in a system (SSP 2.0, 5.3.2), each after the connector
+    that leads to it, or after itself.
+    """
     system = systems[path]
     if name in system.connectors:
-        yield from _inner((path, name), outgoing, flat)
+        yield from (((path, name), end) for end in _inner((path, name), outgoing, flat))
     for element, found in system.elements.items():
         if not name.startswith(f"{element}."):
             continue
         rest = name.removeprefix(f"{element}.")
         if isinstance(found, Component):
-            yield (*path, element), rest
+            yield ((*path, element), rest), ((*path, element), rest)
         else:
             yield from _targets((*path, element), rest, outgoing, systems, flat)

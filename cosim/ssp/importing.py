@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from cosim.components.component import Description, Value, Variable
+from cosim.components.start_values import start_values
 from cosim.components.units import IDENTITY, Measure, Scale, conversion, measure
 from cosim.errors import ConfigError, Problem, Severity, suggest
 from cosim.scenario.source import Lines, dump
 from cosim.ssp.flattening import End, Flat, Setting, Wire, flatten
 from cosim.ssp.flattening import Path as Where
 from cosim.ssp.package import Package
+from cosim.ssp.placing import Placement
 from cosim.ssp.structure import Connection, Connector, Reader, Structure
+from cosim.ssp.transformations import INTEGERS, REALS, Table
 from network.units import NANOSECONDS_PER_SECOND, format_duration
 
 _ELEMENT = re.compile(r"(?P<array>.+)\[(?P<indices>\d+(?:, ?\d+)*)\]")
@@ -32,47 +37,12 @@ def import_package(path: Path, out: Path) -> tuple[list[Path], list[Problem]]:
     if not flat.components:
         raise structure.system.node.error(f"system {structure.system.name!r} has no components")
     folder = f"{out.stem}_fmus"
-    files = _place(package, flat, out.parent / folder)
-    try:
-        work = _Import(structure, flat, {member: file for member, (file, _) in files.items()}, folder)
-        text = work.text(path.name)
-        with out.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        _remove(files, out.parent / folder)
-        raise ConfigError([Problem(f"{out} exists already; choose another name with -o or remove it")]) from None
-    except BaseException:
-        _remove(files, out.parent / folder)
-        raise
-    return [out, *(file for file, _ in files.values())], work.warnings
-
-
-def _place(package: Package, flat: Flat, folder: Path) -> dict[str, tuple[Path, bool]]:
-    """Write the FMUs, each once: by member, its file, and whether it is new."""
-    files: dict[str, tuple[Path, bool]] = {}
-    for component in flat.components.values():
-        if component.member in files:
-            continue
-        stem, taken = Path(component.member).stem, [file.name for file, _ in files.values()]
-        name = next(n for i in range(len(files) + 1) if (n := f"{stem}{f'-{i + 1}' if i else ''}.fmu") not in taken)
-        content = package.read(component.member)
-        file = folder / name
-        new = not (file.is_file() and file.read_bytes() == content)
-        if new and file.exists():
-            raise ConfigError([Problem(f"{file} exists already and is another file; choose another name with -o")])
-        if new:
-            folder.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(content)
-        files[component.member] = file, new
-    return files
-
-
-def _remove(files: Mapping[str, tuple[Path, bool]], folder: Path) -> None:
-    for file, new in files.values():
-        if new:
-            file.unlink(missing_ok=True)
-    if folder.is_dir() and not any(folder.iterdir()):
-        folder.rmdir()
+    with Placement(out.parent / folder) as placement:
+        for member in dict.fromkeys(component.member for component in flat.components.values()):
+            placement.place(member, package.read(member))
+        work = _Import(structure, flat, placement.fmus, folder)
+        placement.write(out, work.text(path.name).encode())
+    return [out, *placement.fmus.values()], work.warnings
 
 
 class _Import:
@@ -91,9 +61,9 @@ class _Import:
         self._descriptions: dict[tuple[str, ...], Description] = {}
         for path, component in flat.components.items():
             structural = {
-                name: int(setting.parameter.values[0])
+                name: number
                 for (owner, name), setting in flat.settings.items()
-                if owner == path and isinstance(setting.parameter.values[0], int)
+                if owner == path and isinstance(number := self._looked_up(setting)[0], int)
             }
             try:
                 self._descriptions[path] = describe(files[component.member], structural)
@@ -265,7 +235,9 @@ class _Import:
         return starts
 
     def _values(self, setting: Setting, variable: Variable) -> list[Value]:
-        parameter = setting.parameter
+        parameter, transformation = setting.parameter, setting.transformation
+        if isinstance(transformation, Table):
+            return [self._item(x, variable, transformation) for x in self._looked_up(setting, variable.items)]
         unit = setting.units.get(parameter.unit or "") or measure(parameter.unit)
         scale = IDENTITY
         if unit is not None and variable.measure is not None and not setting.suppressed:
@@ -274,11 +246,37 @@ class _Import:
                 text = f"{parameter.name} is in {parameter.unit}, and {variable.name} in {variable.unit}"
                 self._problems.append(Problem(text, parameter.node.where))
             scale = converted or IDENTITY
-        if setting.scale is not None:
-            scale = setting.scale.after(scale)
+        if transformation is not None:
+            scale = transformation.after(scale)
+            if parameter.kind not in REALS and not (parameter.kind in INTEGERS and variable.dtype.startswith("Float")):
+                text = f"LinearTransformation is for real numbers, and {parameter.name} is {parameter.kind}"
+                self._problems.append(Problem(text, parameter.node.where))
+                return list(parameter.values)
         if scale == IDENTITY:
             return list(parameter.values)
-        return [scale(x) if isinstance(x, float) else x for x in parameter.values]
+        return [scale(x) if isinstance(x, (int, float)) else x for x in parameter.values]
+
+    def _looked_up(self, setting: Setting, items: Mapping[str, int] = MappingProxyType({})) -> tuple[Value, ...]:
+        try:
+            return setting.looked_up(items)
+        except ConfigError as error:
+            self._problems += [problem for problem in error.problems if problem not in self._problems]
+            return setting.parameter.values
+
+    def _item(self, value: Value, variable: Variable, table: Table) -> Value:
+        """A value that comes from a table, which the variable must know; that of an enumeration by its name."""
+        names = {number: name for name, number in variable.items.items()}
+        if variable.dtype == "Enumeration" and not isinstance(value, str) and names:
+            if value not in names:
+                known = ", ".join(f"{number} ({name})" for number, name in names.items())
+                text = f"{variable.name} has no item with the value {value}, only {known}"
+                self._problems.append(Problem(text, table.node.where))
+            return names.get(int(value), value)
+        try:
+            start_values(replace(variable, shape=()), [value])
+        except ValueError as error:
+            self._problems.append(Problem(f"{variable.name} {error}", table.node.where))
+        return value
 
 
 _USUAL_PERIODS_NS = tuple(n * 10**e for e in (6, 5, 4, 3) for n in (10, 5, 2))

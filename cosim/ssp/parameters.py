@@ -9,6 +9,7 @@ from cosim.components.component import Value
 from cosim.components.units import Measure, Scale
 from cosim.errors import ConfigError, Problem
 from cosim.ssp.package import Node, Package
+from cosim.ssp.transformations import INTEGERS, REALS, Table, boolean, transformation
 
 _SET = "application/x-ssp-parameter-set"
 _MAPPING = "application/x-ssp-parameter-mapping"
@@ -22,12 +23,14 @@ class Parameter:
         values: as many as it has elements.
         kind: `Real`, `Integer`, `Boolean`, …
         unit: that the set gives, or None.
+        items: what the names of its enumeration stand for, as far as the set says so.
     """
 
     name: str
     values: tuple[Value, ...]
     kind: str
     unit: str | None
+    items: Mapping[str, int]
     node: Node
 
 
@@ -37,7 +40,7 @@ class Entry:
 
     source: str
     target: str
-    scale: Scale | None
+    transformation: Scale | Table | None
     suppressed: bool
     node: Node
 
@@ -79,7 +82,8 @@ def _binding(package: Package, node: Node) -> Binding:
     for child in node.all("ParameterMapping"):
         written = _document(package, child, node, "ParameterMapping", "ParameterMapping", _MAPPING)
         mapping = [_entry(entry) for entry in written.all("MappingEntry")] if written is not None else []
-    parameters = {x.required("name"): _parameter(x) for x in values.all("Parameters", "Parameter")}
+    enumerations = {x.required("name"): _items(x) for x in values.all("Enumerations", "Enumeration")}
+    parameters = {x.required("name"): _parameter(x, enumerations) for x in values.all("Parameters", "Parameter")}
     return Binding(node.get("prefix") or "", parameters, mapping, dict(units_of(values)))
 
 
@@ -97,13 +101,15 @@ def _document(package: Package, node: Node, binding: Node, inline: str, root: st
 
 
 def _entry(node: Node) -> Entry:
-    from cosim.ssp.structure import linear
-
     suppressed = node.flag("suppressUnitConversion")
-    return Entry(node.required("source"), node.required("target"), linear(node), suppressed, node)
+    return Entry(node.required("source"), node.required("target"), transformation(node), suppressed, node)
 
 
-def _parameter(node: Node) -> Parameter:
+def _items(enumeration: Node) -> dict[str, int]:
+    return {item.required("name"): int(item.number("value", 0.0)) for item in enumeration.all("Item")}
+
+
+def _parameter(node: Node, enumerations: Mapping[str, Mapping[str, int]]) -> Parameter:
     name = node.required("name")
     for child in node.children():
         if child.kind in _READ:
@@ -115,20 +121,15 @@ def _parameter(node: Node) -> Parameter:
                 values = tuple(read(word) for word in words)
             except ValueError:
                 raise child.error(f"{name}: {single!r} is no value of the type {child.kind}") from None
-            return Parameter(name, values, child.kind, child.get("unit"), child)
+            items = enumerations.get(child.get("name") or "", {})
+            return Parameter(name, values, child.kind, child.get("unit"), items, child)
     raise node.error(f"{name} has no value")
 
 
-def _boolean(text: str) -> bool:
-    if text not in ("true", "false", "0", "1"):
-        raise ValueError(text)
-    return text in ("true", "1")
-
-
 _READ: Mapping[str, tuple[Callable[[str], Value], bool]] = {
-    **dict.fromkeys(("Real", "Float64", "Float32"), (float, True)),
-    **dict.fromkeys(("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64"), (int, True)),
-    "Boolean": (_boolean, True),
+    **dict.fromkeys(REALS, (float, True)),
+    **dict.fromkeys(INTEGERS, (int, True)),
+    "Boolean": (boolean, True),
     **dict.fromkeys(("String", "Enumeration", "Binary"), (str, False)),
 }
 """How the values of a type are read, and whether a list of them is separated by spaces."""

@@ -10,10 +10,10 @@ from cosim.components.units import BASE, Measure, Scale
 from cosim.errors import ConfigError, Problem
 from cosim.ssp.package import Node, Package
 from cosim.ssp.parameters import Binding, read_bindings
+from cosim.ssp.transformations import REALS, linear
 
 _FMU = "application/x-fmu-sharedlibrary"
 _SSD = "application/x-ssp-definition"
-_TYPES = {"Real", "Float64", "Float32"}
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ class Reader:
             kind = child.required("kind")
             if kind == "inout" or child.all("Clock"):
                 self._unsupported(child, f"connector {child.get('name')!r}: {'inout' if kind == 'inout' else 'clocks'}")
-            unit = next((x.get("unit") for x in child.children() if x.kind in _TYPES), None)
+            unit = next((x.get("unit") for x in child.children() if x.kind in REALS), None)
             found[child.required("name")] = Connector(child.required("name"), kind, unit, child)
         return found
 
@@ -234,20 +234,6 @@ def _annotated_step(root: Node) -> float | None:
         if child.kind in _STEPS and child.get(_STEPS[child.kind]) is not None:
             step = child.number(_STEPS[child.kind], 0.0)
             return step if 0.0 < step < math.inf else None
-    return None
-
-
-def linear(node: Node) -> Scale | None:
-    """The linear transformation of a connection or of an entry of a mapping, if there is one.
-
-    Raises:
-        ConfigError: it is another kind of transformation.
-    """
-    for child in node.children():
-        if child.kind == "LinearTransformation":
-            return Scale(child.number("factor", 1.0), child.number("offset", 0.0))
-        if child.kind.endswith("Transformation"):
-            raise child.error(f"{child.kind} is not supported; only LinearTransformation is")
     return None
 
 

@@ -209,6 +209,132 @@ def test_mappings_prefixes_files_and_what_counts(tmp_path: Path) -> None:
     assert parts["drive_pd"].start["k_p"] == (7.0,)
 
 
+def table(kind: str, **entries: str) -> str:
+    """`_3="9"` replaces 3 by 9."""
+    inside = "".join(f'<ssc:MapEntry source="{a.lstrip("_")}" target="{b}"/>' for a, b in entries.items())
+    return f"<ssc:{kind}MappingTransformation>{inside}</ssc:{kind}MappingTransformation>"
+
+
+ITEMS = '<ssc:Item name="slow" value="10"/><ssc:Item name="fast" value="20"/><ssc:Item name="two" value="30"/>'
+ENUMERATIONS = f'<ssv:Enumerations><ssc:Enumeration name="Speed">{ITEMS}</ssc:Enumeration></ssv:Enumerations>'
+ON, THREE = '<ssv:Boolean value="true"/>', '<ssv:Integer value="3"/>'
+SLOW, OWN_SLOW, OWN_TWO = (f'<ssv:Enumeration value="{x}"/>' for x in ("slow", 'slow" name="Speed', 'two" name="Speed'))
+
+
+def looked_up(folder: Path, probe: Path, monkeypatch: pytest.MonkeyPatch, target: str, value: str, mapped: str) -> Path:
+    """A package of one probe, a variable of which gets a value by a mapping."""
+    monkeypatch.setattr(fmus, "path", lambda _name: probe)
+    values = f'<ssv:ParameterSet version="1.0" name="x"><ssv:Parameters><ssv:Parameter name="given">{value}'
+    values += f"</ssv:Parameter></ssv:Parameters>{ENUMERATIONS}</ssv:ParameterSet>"
+    mapping = f'<ssm:ParameterMapping version="1.0"><ssm:MappingEntry source="given" target="{target}">\n{mapped}'
+    mapping += "</ssm:MappingEntry></ssm:ParameterMapping>"
+    system = f'<ssd:System name="s"><ssd:Elements><ssd:Component name="a" source="{PLANT}"><ssd:ParameterBindings>'
+    system += f"<ssd:ParameterBinding><ssd:ParameterValues>{values}</ssd:ParameterValues>"
+    system += f"<ssd:ParameterMapping>{mapping}</ssd:ParameterMapping></ssd:ParameterBinding></ssd:ParameterBindings>"
+    system += "</ssd:Component></ssd:Elements></ssd:System>"
+    return package(folder, system)
+
+
+@pytest.mark.parametrize(
+    ("target", "value", "mapped", "start"),
+    [
+        ("Boolean_in", ON, table("Boolean", true="false", false="true"), (False,)),
+        ("Boolean_in", ON, table("Boolean", _1="0"), (False,)),
+        ("Boolean_in", ON, table("Boolean", false="false"), (True,)),
+        ("Int32_in", THREE, table("Integer", _1="7", _3="-9"), (-9,)),
+        ("Int32_in", THREE, table("Integer", _1="7"), (3,)),
+        ("Int32_in", OWN_SLOW, table("Integer", _10="4"), (4,)),
+        ("Float32_in", THREE, linear(2.0, 0.5), (6.5,)),
+        ("n", THREE, table("Integer", _3="4"), (4,)),
+        ("Enumeration_in", THREE, table("Integer", _3="2"), ("two",)),
+        ("Enumeration_in", OWN_SLOW, table("Integer", _10="2"), ("two",)),
+        ("Enumeration_in", SLOW, table("Enumeration", slow="two", fast="one"), ("two",)),
+        ("Enumeration_in", OWN_TWO, table("Enumeration", slow="one"), ("two",)),
+        ("Enumeration_in", '<ssv:Enumeration value="one"/>', table("Integer", _1="2"), ("two",)),
+    ],
+)
+def test_values_that_a_mapping_looks_up(
+    probes: dict[int, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    target: str,
+    value: str,
+    mapped: str,
+    start: tuple[object],
+) -> None:
+    path = looked_up(tmp_path, probes[3], monkeypatch, target, value, mapped)
+    read_ssd(str(path))  # as the standard's schema has it
+    import_package(path, tmp_path / "out.yaml")
+    (part,) = load(str(tmp_path / "out.yaml")).plan.agents[0].components
+    assert part.start == {target: start}
+
+
+@pytest.mark.parametrize(
+    ("target", "value", "mapped", "said"),
+    [
+        (
+            "Int32_in",
+            THREE,
+            table("Boolean", true="false"),
+            "BooleanMappingTransformation is for values of the type Boolean, and this is Integer",
+        ),
+        (
+            "Boolean_in",
+            ON,
+            table("Integer", _1="0"),
+            "IntegerMappingTransformation is for values of the type Integer or Enumeration, and this is Boolean",
+        ),
+        (
+            "Enumeration_in",
+            THREE,
+            table("Enumeration", _3="two"),
+            "EnumerationMappingTransformation is for values of the type Enumeration, and this is Integer",
+        ),
+        ("Boolean_in", ON, linear(2.0), "LinearTransformation is for real numbers, and given is Boolean"),
+        (
+            "Enumeration_in",
+            THREE,
+            table("Integer", _3="5"),
+            "Enumeration_in has no item with the value 5, only 1 (one), 2 (two)",
+        ),
+        (
+            "Enumeration_in",
+            SLOW,
+            table("Enumeration", slow="tow"),
+            "Enumeration_in has no item 'tow' (did you mean 'two'?)",
+        ),
+        ("Int32_in", ON, table("Boolean", true="false"), "Int32_in takes a number, not False"),
+        ("Int32_in", THREE, table("Integer", _3="9", __3="9"), "two entries for '3'"),
+        ("Int32_in", THREE, table("Integer", _3="x"), "target='x' is no value of the type Integer"),
+        ("Int32_in", THREE, table("Text", _3="x"), "TextMappingTransformation is not known"),
+    ],
+)
+def test_values_that_no_mapping_can_give(
+    probes: dict[int, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    target: str,
+    value: str,
+    mapped: str,
+    said: str,
+) -> None:
+    path = looked_up(tmp_path, probes[3], monkeypatch, target, value, mapped)
+    done = cosim(tmp_path, "ssp", "import", path.name)
+    assert done.returncode == 2
+    line = 3 if mapped == linear(2.0) else 4  # the value's, or the table's
+    assert done.stderr == f"drive.ssp/SystemStructure.ssd:{line}:1: error: {said}\n1 error\n"
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["drive.ssp", "tmp"]
+
+
+def test_a_parameter_through_a_connection_that_scales(tmp_path: Path) -> None:
+    """It would arrive unscaled."""
+    system = drive(inner=INNER, outer=binding(real("drive.gain", 3.0)))
+    scaled = system.replace(connection("gain", "pd.k_p"), connection("gain", "pd.k_p", linear(2.0)))
+    (found,) = refusal(tmp_path, scaled)
+    text = "the value of drive.pd.k_p comes through a LinearTransformation, which is not supported; bind it itself"
+    assert text in found
+
+
 def test_units_that_only_the_package_knows(tmp_path: Path) -> None:
     """The controller's output has no unit in the FMU; the package says kN, and N where it goes."""
     system = drive(inner=INNER, outer=binding(real("plant.k", 2.0) + real("drive.pd.k_p", 0.02) + real("plant.m", 1.5)))
@@ -249,7 +375,7 @@ def refusal(folder: Path, system: str, extra: Mapping[str, str] | None = None, *
         ),
         (
             ("<ssc:LinearTransformation", "<ssc:IntegerMappingTransformation"),
-            "IntegerMappingTransformation is not supported",
+            "IntegerMappingTransformation is not supported on connections, only in parameter mappings",
         ),
         (('source="resources/PDController.fmu"', 'source="http://example.org/a.fmu"'), "lies outside of the package"),
         (('source="resources/PDController.fmu"', 'source="../../a.fmu"'), "the package holds no '../../a.fmu'"),
@@ -314,6 +440,31 @@ def test_a_file_that_exists_is_kept(tmp_path: Path) -> None:
         import_package(path, tmp_path / "out.yaml")
     assert (tmp_path / "out.yaml").read_text() == "mine"
     assert not (tmp_path / "out_fmus").exists()
+
+
+@pytest.mark.parametrize(
+    ("out", "said"),
+    [
+        ("/sys/out.yaml", r"/sys/out_fmus: error: out_fmus cannot be written: \w+"),
+        ("file/out.yaml", r"file/out_fmus: error: out_fmus cannot be written: Not a directory"),
+        ("there.yaml", r"there_fmus/PDController.fmu exists already and is another file; choose another name with -o"),
+        ("dir", r"error: dir exists already; choose another name with -o"),
+    ],
+)
+def test_what_cannot_be_written_leaves_nothing_behind(tmp_path: Path, out: str, said: str) -> None:
+    """A folder that is read only, even for root; a file in its place; one of two FMUs that is another one."""
+    package(tmp_path, drive(inner=INNER))
+    (tmp_path / "file").touch()
+    (tmp_path / "dir").mkdir()
+    (tmp_path / "there_fmus").mkdir()
+    (tmp_path / "there_fmus" / "PDController.fmu").write_bytes(b"mine")
+    before = sorted(tmp_path.rglob("*"))
+    done = cosim(tmp_path, "ssp", "import", "drive.ssp", "-o", out)
+    assert done.returncode == 2
+    assert re.search(said, done.stderr), done.stderr
+    assert "Traceback" not in done.stderr
+    assert sorted(path for path in tmp_path.rglob("*") if path.name != "tmp") == before
+    assert (tmp_path / "there_fmus" / "PDController.fmu").read_bytes() == b"mine"
 
 
 def test_a_system_of_another_description(tmp_path: Path) -> None:
