@@ -27,6 +27,12 @@ def test_every_command_has_help(command: str, capsys: pytest.CaptureFixture[str]
     assert "exit codes:" in capsys.readouterr().out
 
 
+def test_help_asks_in_good_order(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        cli.main(["channel", "--help"])
+    assert "what would a controller get?\n" in capsys.readouterr().out
+
+
 def test_help_imports_nothing_heavy() -> None:
     code = (
         "import sys\nfrom cosim import cli\n"
