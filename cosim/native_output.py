@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import io
 import os
 import select
 import sys
@@ -11,10 +10,11 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import Any
+from typing import TextIO
 
 from cosim.logs import Sink
 from cosim.scratch import holds
+from cosim.screen import Screen
 
 _CHUNK = 1 << 16
 _LOOK_SECONDS = 0.5
@@ -99,7 +99,7 @@ def captured(sink: Sink) -> Iterator[None]:
         pump.drain()
 
 
-def _moved(stream: io.TextIOBase, saved: list[int]) -> io.TextIOBase:
+def _moved(stream: TextIO, saved: list[int]) -> TextIO:
     """The stream, at the copy of its descriptor; the same one if it is no such stream."""
     try:
         number = stream.fileno()
@@ -107,21 +107,20 @@ def _moved(stream: io.TextIOBase, saved: list[int]) -> io.TextIOBase:
         return stream
     if number not in (1, 2):
         return stream
-    old = open(saved[number - 1], "wb", closefd=False)  # noqa: SIM115 - whoever prints needs it open
-    return _Screen(number, old, encoding=stream.encoding, errors=stream.errors, line_buffering=True)
+    return _Screen(number, saved[number - 1], stream)
 
 
-class _Screen(io.TextIOWrapper):
+class _Screen(Screen):
     """The old place of a stream; what FMUs written in Python print goes to its new one.
 
     Args:
         number: descriptor of the new place.
-        old: the old place.
-        how: as of `TextIOWrapper`.
+        old: that of the old place.
+        stream: which it was.
     """
 
-    def __init__(self, number: int, old: io.BufferedWriter, **how: Any) -> None:
-        super().__init__(old, **how)
+    def __init__(self, number: int, old: int, stream: TextIO) -> None:
+        super().__init__(old, stream)
         self._number = number
 
     def write(self, text: str) -> int:

@@ -12,7 +12,8 @@ from cosim.channel.playing import play
 from cosim.channel.stating import stated
 from cosim.channel.subject import Subject, Wanted
 from cosim.errors import ConfigError, Problem
-from cosim.recording.manifest import command_line, folder_problem, versions, write_atomically
+from cosim.recording.atomic import write_atomically
+from cosim.recording.manifest import command_line, folder_problem, versions
 from cosim.reporting import network, page
 from cosim.reporting.edges import Edges
 from cosim.reporting.words import Rows

@@ -14,7 +14,7 @@ from cosim.channel import measured
 from cosim.channel.playing import Alone, play
 from cosim.channel.subject import PERIOD, SEED, Subject, pairs
 from cosim.errors import ConfigError, Location, Problem
-from cosim.recording.manifest import write_atomically
+from cosim.recording.atomic import write_atomically
 from cosim.reporting import network
 from cosim.reporting.edges import Edges
 from cosim.reporting.words import NOTHING, Rows, number

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -12,6 +11,7 @@ from typing import NoReturn
 from cosim.cli.parser import make_parser
 from cosim.cli.printing import print_problems
 from cosim.errors import ConfigError, CosimError
+from cosim.screen import discard, is_gone, prepare
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -36,13 +36,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return error.exit_code
     except KeyboardInterrupt:
         return 130
-    except BrokenPipeError:  # whoever read the output has seen enough
-        _drop_output()
-        return 0
     except OSError as error:
         if error.filename is not None:
             raise
-        _drop_output()
+        gone = is_gone(sys.stdout, error)
+        if isinstance(error, BrokenPipeError) and not gone:
+            raise
+        discard(sys.stdout)  # or Python would try again at exit
+        if gone:  # whoever read it has seen enough
+            return 0
         print(f"error: cannot write the output: {error.strerror}", file=sys.stderr)
         return CosimError.exit_code
     finally:
@@ -53,6 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def command() -> NoReturn:
     """The process `cosim`: `main`, and its end."""
+    prepare()
     try:
         code = main()
     except SystemExit as asked:
@@ -75,8 +78,3 @@ def _end_requests() -> list[int]:
 def _terminate(number: int, _: FrameType | None) -> NoReturn:
     """End through Python, so that temporary folders are removed, with the code that the signal would have given."""
     sys.exit(128 + number)
-
-
-def _drop_output() -> None:
-    """Nothing more can be written to standard output; without this, Python would try again at exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -6,7 +6,6 @@ import contextlib
 import datetime
 import hashlib
 import json
-import os
 import platform
 import sys
 from collections.abc import Mapping
@@ -30,7 +29,7 @@ DELIVERIES = "deliveries.parquet"
 RESERVE = ".reserve"
 SPOOL = ".spool"
 GROUPS = ".groups"
-HIDDEN = (SPOOL, GROUPS, RESERVE, f".{MANIFEST}.new")
+HIDDEN = (SPOOL, GROUPS, RESERVE)
 """What lies in a run folder while the run goes on, beside the lock."""
 
 _PACKAGES = ("netcosim", "numpy", "FMPy", "pyarrow", "eclipse-zenoh")
@@ -137,22 +136,6 @@ def versions() -> dict[str, str]:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):  # run from a checkout, not installed
             found[package.lower()] = importlib.metadata.version(package)
     return found
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Replace a file as a whole: a reader sees the old text or the new one.
-
-    Raises:
-        OSError: it cannot be written; the old file is untouched.
-    """
-    temporary = path.with_name(f".{path.name}.new")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)  # noqa: PTH105 - Path.replace gives no better error
-    except OSError:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        raise
 
 
 def to_json(manifest: Mapping[str, Any]) -> str:

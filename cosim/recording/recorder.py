@@ -21,6 +21,7 @@ import numpy as np
 from cosim.errors import CosimError
 from cosim.plan import EXTERNAL, Plan
 from cosim.recording import manifest
+from cosim.recording.atomic import write_atomically
 from cosim.recording.external import LOG, ExternalLog, convert
 from cosim.recording.lock import RUN, FolderLock, Held
 from cosim.recording.manifest import (
@@ -32,7 +33,6 @@ from cosim.recording.manifest import (
     TRAJECTORIES,
     Status,
     folder_problem,
-    write_atomically,
 )
 from cosim.recording.recovery import occupied
 from cosim.recording.spool import Spool, stacked

@@ -17,6 +17,7 @@ import numpy as np
 
 from cosim.errors import ConfigError
 from cosim.recording import spool
+from cosim.recording.atomic import remove_left, write_atomically
 from cosim.recording.external import convert
 from cosim.recording.lock import RECOVERY, RUN, FolderLock, Held, look
 from cosim.recording.manifest import (
@@ -29,7 +30,6 @@ from cosim.recording.manifest import (
     folder_problem,
     to_json,
     with_outcome,
-    write_atomically,
 )
 from cosim.recording.table import indices, numbers
 from cosim.recording.tables import FATE_NAMES, Layout, RunTables
@@ -70,6 +70,7 @@ def recover(folder: Path, patience: float = 0.0) -> Mapping[str, Any]:
             manifest = _rebuild(folder, manifest)
         for name in HIDDEN:
             (folder / name).unlink(missing_ok=True)
+        remove_left(folder / MANIFEST)
     except (OSError, ValueError) as error:
         raise _refusal(folder, error) from None
     finally:
@@ -86,9 +87,8 @@ def tidy(folder: Path) -> None:
 def occupied(folder: Path) -> str:
     """Why a folder that is not empty takes no new run."""
     try:
+        look(folder)  # before the manifest, which a run that begins writes last
         status = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))["status"]
-        if status == Status.RUNNING:
-            look(folder)
     except Held:
         return "a run is being recorded here; choose another folder with --out"
     except (OSError, ValueError, LookupError, TypeError):

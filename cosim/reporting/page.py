@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from cosim.recording.manifest import folder_problem, write_atomically
+from cosim.recording.atomic import write_atomically
+from cosim.recording.manifest import folder_problem
 
 if TYPE_CHECKING:
     from cosim.reporting.figures import Entry

@@ -4,50 +4,28 @@ from __future__ import annotations
 
 import argparse
 import gc
-import itertools
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
-import numpy as np
-
-from cosim.agents.step_control import StepAccount, manifest
 from cosim.bridge import Bridge, open_bridge, recorded
-from cosim.components.component import Floats
-from cosim.errors import (
-    ClusterError,
-    ConfigError,
-    CosimError,
-    NetworkError,
-    OverrunError,
-    Problem,
-    RunEndedError,
-    RunError,
-)
+from cosim.errors import ConfigError, CosimError, Problem, RunEndedError
 from cosim.logs import LOG_FOLDER, Logs
 from cosim.native_output import captured
 from cosim.plan import Plan
 from cosim.recording.recorder import Recorder
 from cosim.running.estimation import Estimate
+from cosim.running.folder import Keeper, close_after, close_interrupted, run_folder
 from cosim.running.inline import Interrupted, Observer, Take, run
 from cosim.running.pacing import Overrun, Pacer, precise_timers
-from cosim.running.progress import Disagreement, Progress, say
+from cosim.running.progress import Progress, say
 from cosim.running.stopping import StopRequest
+from cosim.running.summary import Summary
 from cosim.running.watching import Watch
-from network.messages import Fates
-
-
-def run_folder(name: str, out: Path | None) -> Path:
-    """`out`, or a new `runs/<name>/<timestamp>` below the current folder; a second run in one second gets a number."""
-    if out is not None:
-        return out
-    stamp = time.strftime("%Y-%m-%dT%H-%M-%S")
-    candidates = (Path("runs") / name / (f"{stamp}-{i}" if i else stamp) for i in itertools.count())
-    return next(folder for folder in candidates if not folder.exists())
+from cosim.screen import discard, is_gone
 
 
 def main(args: argparse.Namespace) -> int:
@@ -87,7 +65,6 @@ def record(args: argparse.Namespace, plan: Plan, way: Way, *, here: bool = False
         CosimError: the run failed; what was computed until then is on disk.
     """
     pacer = _pacer(args, plan)
-    folder = run_folder(plan.name, args.out)
     restarts: list[Mapping[str, Any]] = []
 
     def tell(text: str, restart: Mapping[str, Any] | None) -> None:
@@ -97,63 +74,82 @@ def record(args: argparse.Namespace, plan: Plan, way: Way, *, here: bool = False
             recorder.add({"distributed": {**details["distributed"], "restarts": restarts}})
 
     estimate = Estimate(plan) if getattr(args, "estimate_error", False) else None
-    stop, record = StopRequest(), _Record()
-    watch = Watch(plan.agents, plan.period_ns, args.step_deadline, stop, record) if here else None
-    play, details = way(args, plan, pacer, folder.absolute(), tell, watch)
-    recorder = Recorder(plan, folder, details)
-    summary = _Summary(plan, pacer, recorder)
-    with (
-        _native_output(recorder.place, here=here),
-        stop.listening(),
-        watch or nullcontext(),
-        open_bridge(plan, _warn) as bridge,
-        Progress(plan, quiet=args.quiet, pacer=pacer) as progress,
-    ):
-        if estimate is not None and not _prepared(estimate, stop, watch, quiet=args.quiet):
-            return stop.exit_code
-        recorder.open()
-        record.recorder = recorder
-        gc.enable()
-        if bridge is not None and not args.quiet:
-            say(f"the bridge {bridge.where}")
-        try:
-            with _accounted(pacer, recorder):
-                observers: list[Observer] = [recorder, *([] if estimate is None else [estimate]), summary, progress]
-                try:
-                    if bridge is None:
-                        play(observers, stop)
-                    else:
-                        play([recorder, bridge, *observers[1:]], stop, take=recorded(bridge, recorder.external))
-                except RunEndedError as ended:
-                    summary.ended(ended)
-            if estimate is not None:
-                recorder.add({"coupling_error": estimate.account()})
-        except Interrupted as interrupted:
-            reached = f"t = {interrupted.tick * plan.period:.9g} s"
-            recorder.close(f"aborted: interrupted at {reached}")
-            print(f"interrupted at {reached}; everything until then is in {recorder.folder}", file=sys.stderr)
-            return stop.exit_code
-        except BaseException as error:
-            _close_after(error, recorder)
-            raise
-    digest = recorder.close("complete")
+    stop, keeper = StopRequest(), Keeper()
+    watch = Watch(plan.agents, plan.period_ns, args.step_deadline, stop, keeper) if here else None
+    with run_folder(plan.name, args.out) as folder:
+        play, details = way(args, plan, pacer, folder.absolute(), tell, watch)
+        recorder = Recorder(plan, folder, details)
+        summary = Summary(plan, pacer, recorder)
+        with (
+            _native_output(recorder.place, here=here),
+            stop.listening(),
+            watch or nullcontext(),
+            open_bridge(plan, _warn) as bridge,
+            Progress(plan, quiet=args.quiet, pacer=pacer) as progress,
+        ):
+            recorder.open()
+            keeper.recorder = recorder
+            gc.enable()
+            if bridge is not None and not args.quiet:
+                say(f"the bridge {bridge.where}")
+            try:
+                if estimate is not None:
+                    _prepare(estimate, stop, watch, quiet=args.quiet)
+                _play(play, recorder, summary, estimate, progress, bridge, stop, pacer)
+            except (Interrupted, KeyboardInterrupt) as error:
+                tick = error.tick if isinstance(error, Interrupted) else summary.reached
+                close_interrupted(recorder, tick, plan.period)
+                if isinstance(error, KeyboardInterrupt):
+                    raise
+                return stop.exit_code
+            except BaseException as error:
+                close_after(error, recorder)
+                raise
+        digest = recorder.close("complete")
     if not args.quiet:
-        summary.show(recorder.folder, digest, bridge, estimate)
+        try:
+            summary.show(recorder.folder, digest, bridge, estimate)
+        except OSError as error:
+            if not is_gone(sys.stdout, error):
+                raise
+            discard(sys.stdout)  # who read it may still want the report
     for warning in estimate.warnings() if estimate is not None else ():
-        print(f"warning: {warning}", file=sys.stderr)
+        _warn(warning)
     return _draw(recorder, quiet=args.quiet) if args.report else 0
 
 
-def _prepared(estimate: Estimate, stop: StopRequest, watch: Watch | None, *, quiet: bool) -> bool:
-    """Play with half the steps, for the estimate; False where somebody asked to stop."""
+def _play(  # noqa: PLR0917
+    play: Play,
+    recorder: Recorder,
+    summary: Summary,
+    estimate: Estimate | None,
+    progress: Progress,
+    bridge: Bridge | None,
+    stop: StopRequest,
+    pacer: Pacer | None,
+) -> None:
+    """Play the plan before all observers; the manifest learns what they found."""
+    observers: list[Observer] = [recorder, *([] if estimate is None else [estimate]), summary, progress]
+    with _accounted(pacer, recorder):
+        try:
+            if bridge is None:
+                play(observers, stop)
+            else:
+                play([recorder, bridge, *observers[1:]], stop, take=recorded(bridge, recorder.external))
+        except RunEndedError as ended:
+            summary.ended(ended)
+    if estimate is not None:
+        recorder.add({"coupling_error": estimate.account()})
+
+
+def _prepare(estimate: Estimate, stop: StopRequest, watch: Watch | None, *, quiet: bool) -> None:
+    """Play with half the steps, for the estimate."""
     if not quiet:
         say("playing with half the micro steps, for the estimate of the error")
     try:
         estimate.prepare(stop, watch)
-    except Interrupted as interrupted:
-        print(f"interrupted after tick {interrupted.tick} of the estimate; nothing is recorded", file=sys.stderr)
-        return False
-    return True
+    except Interrupted:
+        raise Interrupted(-1) from None
 
 
 Tell: TypeAlias = Callable[[str, Mapping[str, Any] | None], None]
@@ -242,98 +238,6 @@ def _in_process(  # noqa: PLR0917
 ) -> None:
     with Logs(folder / LOG_FOLDER) as logs:
         run(plan, observers, stop_requested, pacer, take, logs, watch)
-
-
-def _close_after(error: BaseException, recorder: Recorder) -> None:
-    """Leave a readable run folder behind a failure."""
-    reason = str(error) if isinstance(error, CosimError) else f"{type(error).__name__}: {error}"
-    with suppress(CosimError):  # the first failure is the one to tell
-        recorder.close(f"aborted: {reason.splitlines()[0]}")
-    if isinstance(error, (RunError, ClusterError, NetworkError, OverrunError)):
-        print(f"everything until then is in {recorder.folder}", file=sys.stderr)
-    if isinstance(error, RunError):
-        _point_to_logs(recorder)
-
-
-def _point_to_logs(recorder: Recorder) -> None:
-    """They may say more than the error does."""
-    if (recorder.place / LOG_FOLDER).exists():
-        print(f"what components logged and printed is in {recorder.folder / LOG_FOLDER}", file=sys.stderr)
-
-
-class _Record:
-    """What a run leaves that is ended by force."""
-
-    recorder: Recorder | None = None
-    """Once it is open."""
-
-    def keep(self, error: CosimError, *, in_order: bool) -> None:
-        if self.recorder is None:
-            return
-        folder = self.recorder.folder
-        if in_order:
-            _close_after(error, self.recorder)
-            if isinstance(error, RunError):
-                return
-            print(f"everything until then is in {folder}", file=sys.stderr)
-        else:
-            print(f"`cosim report {folder}` saves what was computed until then", file=sys.stderr)
-        _point_to_logs(self.recorder)
-
-
-class _Summary:
-    """An observer that keeps what the lines at the end say."""
-
-    def __init__(self, plan: Plan, pacer: Pacer | None, recorder: Recorder) -> None:
-        self._plan = plan
-        self._recorder = recorder
-        self._accounts: Sequence[StepAccount] = []
-        self._pacer = pacer
-        self._started = time.perf_counter()
-        self._tick, self._row = 0, np.empty(0)
-        self._ended: RunEndedError | None = None
-
-    def tick(self, tick: int, row: Floats) -> None:
-        self._tick, self._row = tick, row
-
-    def fates(self, fates: Fates) -> None:
-        """Not needed."""
-
-    def ended(self, ended: RunEndedError) -> None:
-        """A component asked for the end."""
-        self._ended = ended
-        who = {"agent": ended.agent, "component": ended.component}
-        self._recorder.add({"ended": {**who, "time_s": ended.time, "message": ended.message}})
-
-    def steps(self, accounts: Sequence[StepAccount]) -> None:
-        self._accounts = accounts
-        self._recorder.add({"step_control": manifest(accounts)})
-
-    def show(self, folder: Path, digest: str, bridge: Bridge | None, estimate: Estimate | None) -> None:
-        """Say what was done, where it is, and how far the agents are from agreeing."""
-        wall = time.perf_counter() - self._started
-        simulated, planned = (n * self._plan.period for n in (self._tick, self._plan.ticks))
-        of_planned = f" of {planned:g} s" if self._ended is not None else ""
-        pace = f"{simulated / wall:.0f} x real time"
-        print(f"{self._plan.name}: {simulated:g} s{of_planned} simulated in {wall:.2f} s ({pace})")
-        if self._ended is not None:
-            who = f"component {self._ended.component} of agent {self._ended.agent}"
-            print(f"  ended                    at t = {self._ended.time:.9g} s by {who}, which asked for it")
-        disagreement = Disagreement(self._plan).of(self._row)
-        if disagreement is not None:
-            print(f"  disagreement at the end  {disagreement:.3g} (largest |p_1 - p_i|)")
-        if estimate is not None:
-            worst = max(estimate.errors(), key=lambda error: error.relative, default=None)
-            print(f"  coupling error           {'nothing is recorded' if worst is None else f'about {worst}'}")
-        if self._accounts:
-            worst_steps = max(self._accounts, key=lambda account: account.ratio)
-            print(f"  steps of agent {worst_steps.agent:<10}{worst_steps}")
-        for i, line in enumerate(bridge.account() if bridge is not None else ()):
-            print(f"  {'' if i else 'bridge':<25}{line}")
-        if self._pacer is not None:
-            print(self._pacer)
-        print(f"  digest                   {digest}")
-        print(f"  run folder               {folder}")
 
 
 def _draw(recorder: Recorder, *, quiet: bool) -> int:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
+
+from cosim.screen import say_at_once
 
 REQUESTS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 """The signals that ask for an end."""
@@ -35,8 +35,10 @@ class StopRequest:
 
     @contextmanager
     def listening(self) -> Iterator[None]:
-        """While inside, signals are requests."""
-        previous = {number: signal.signal(number, self._handle) for number in REQUESTS}
+        """While inside, signals are requests; but not the end of a terminal that is ignored (`nohup`)."""
+        nohup = hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+        numbers = [number for number in REQUESTS if not (nohup and number == signal.SIGHUP)]
+        previous = {number: signal.signal(number, self._handle) for number in numbers}
         try:
             yield
         finally:
@@ -48,12 +50,4 @@ class StopRequest:
         if self.number:
             signal.default_int_handler(number, frame)
         self.number = number
-        os.write(screen(), b"\nstopping as soon as everything is in order; once more to stop at once\n")
-
-
-def screen() -> int:
-    """The descriptor of standard error, wherever it is."""
-    try:
-        return sys.stderr.fileno()
-    except (AttributeError, OSError, ValueError):
-        return 2
+        say_at_once("\nstopping as soon as everything is in order; once more to stop at once")

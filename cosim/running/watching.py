@@ -1,8 +1,8 @@
-"""Native code that never returns, or crashes, in the process of a run: somebody must say so, and keep what there is.
+"""Code that never returns, or crashes, in the process of a run: somebody must say so, and keep what there is.
 
-While FMUs are being called, a thread looks on. It sees how long the same agent has been at the same tick, which signals
-have come that Python cannot obey before a call returns, and what `cosim/kernel/crash.c` tells of crashes. Where the run
-cannot go on, it has the run folder closed and ends the process.
+While components are being called, a thread looks on. It sees how long the same agent has been at the same tick, which
+signals have come that Python cannot obey before a call returns, and what `cosim/kernel/crash.c` tells of crashes. Where
+the run cannot go on, it has the run folder closed and ends the process.
 
 An FMU that leaves memory in disorder can take this thread with it; then the process ends as the system lets it.
 """
@@ -17,13 +17,15 @@ import socket
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NoReturn, Protocol, Self
 
 from cosim import scratch
 from cosim.attention import TICK, Spot, idle
 from cosim.errors import ConfigError, CosimError, RunError
-from cosim.running.stopping import REQUESTS, StopRequest, screen
+from cosim.running.stopping import REQUESTS, StopRequest
+from cosim.screen import error_descriptor, say_at_once
 from cosim.spawning import signal_name
 from network.units import to_seconds
 
@@ -40,6 +42,8 @@ PATIENCE_SECONDS = 5.0
 
 _CRASHES = {getattr(signal, name, 0) for name in ("SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL", "SIGABRT")}
 _FAILED = 3
+
+_DEBUGGERS = {"bdb", "pdb", "IPython", "debugpy", "pydevd", "_pydevd_bundle"}
 
 
 class Record(Protocol):
@@ -68,7 +72,7 @@ class Watch:
     Args:
         agents: that run.
         period_ns: T.
-        deadline: seconds of wall time that an FMU may take for an agent's period, or to be opened or initialised.
+        deadline: seconds of wall time that a component may take for an agent's period, or to be opened or initialised.
         stop: of the run.
         record: that the run leaves.
 
@@ -103,7 +107,7 @@ class Watch:
         self._there = there
         self._previous = signal.set_wakeup_fd(there.fileno(), warn_on_full_buffer=False)
         if self._kernel is not None:
-            self._kernel.cosim_watch_crashes(there.fileno(), int(1000 * PATIENCE_SECONDS), screen())
+            self._kernel.cosim_watch_crashes(there.fileno(), int(1000 * PATIENCE_SECONDS), error_descriptor())
         self._thread = threading.Thread(target=self._look, name="watch", daemon=True)
         self._thread.start()
         return self
@@ -132,10 +136,16 @@ class Watch:
             # A process that was stopped for a while, or is looked at with a debugger, does not hang.
             held = held + min(now - looked, 2 * LOOK_SECONDS) if at is not None and at == before else 0.0
             looked = now
-            if at is not None and self._is_native(spot):
-                if held > self._deadline:
-                    longer = "--step-deadline gives it longer, if it is only slow"
-                    self._end(self._failure(spot, f"has not returned for {self._deadline:g} s; {longer}"), _FAILED)
+            if at is None or not self._is_here(spot):
+                continue
+            if held > self._deadline:
+                where = "" if self._is_native(spot) else self._line(spot)
+                if where is None:
+                    held = 0.0
+                    continue
+                longer = "--step-deadline gives it longer, if it is only slow"
+                self._end(self._failure(spot, f"has not returned for {self._deadline:g} s{where}; {longer}"), _FAILED)
+            if self._is_native(spot):  # Python is interrupted by the signal itself
                 self._see_to_requests(spot, now)
 
     def _take(self, numbers: bytes) -> None:
@@ -165,14 +175,30 @@ class Watch:
             self._end(CosimError(text), 128 + self._number)
         if not self._told:
             self._told = True
-            self._say(f"stopping as soon as a call returns from {who}; once more to stop at once")
+            say_at_once(f"stopping as soon as a call returns from {who}; once more to stop at once")
 
-    def _is_native(self, spot: Spot) -> bool:
-        """Whether it is an FMU in this process that is called: Python can be interrupted, others are watched there."""
+    def _is_here(self, spot: Spot) -> bool:
+        """Whether what is called runs in this process; others are watched there."""
         if spot.agent is None or spot.component is None:
             return False
-        component = self._plans[spot.agent].components[spot.component]
-        return component.path is not None and component.isolation is None
+        return self._plans[spot.agent].components[spot.component].isolation is None
+
+    def _is_native(self, spot: Spot) -> bool:
+        """Whether it is an FMU that is called."""
+        if spot.agent is None or spot.component is None:
+            return False
+        return self._plans[spot.agent].components[spot.component].path is not None
+
+    def _line(self, spot: Spot) -> str | None:
+        """Where in its module a Python component is, in words that follow others; None where a debugger has it."""
+        frame = sys._current_frames().get(threading.main_thread().ident or 0)
+        stack = [] if frame is None else list(traceback.walk_stack(frame))
+        modules = [str(each.f_globals.get("__name__")) for each, _ in stack]
+        if any(module.partition(".")[0] in _DEBUGGERS for module in modules):
+            return None
+        own = (self._plans[spot.agent or 0].components[spot.component or 0].python or "").partition(":")[0]
+        places = [f" (it is at {each.f_code.co_filename}:{line})" for each, line in stack]
+        return next((place for place, module in zip(places, modules, strict=True) if module == own), "")
 
     def _failure(self, spot: Spot, text: str) -> CosimError:
         assert spot.agent is not None
@@ -183,16 +209,12 @@ class Watch:
 
     def _end(self, error: CosimError, code: int) -> NoReturn:
         in_order = self._at_record.acquire(timeout=PATIENCE_SECONDS)
-        self._say("")
+        say_at_once("")
         self._record.keep(error, in_order=in_order)
-        self._say(f"error: {error}" if code == _FAILED else str(error))
+        say_at_once(f"error: {error}" if code == _FAILED else str(error))
         scratch.remove_all()
         sys.stdout.flush()
         os._exit(code)
-
-    @staticmethod
-    def _say(text: str) -> None:
-        os.write(screen(), f"{text}\n".encode())
 
 
 def _kernel() -> ctypes.CDLL | None:

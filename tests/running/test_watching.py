@@ -106,6 +106,71 @@ def test_a_call_that_never_returns_can_be_stopped(
     left(tmp_path, 3)
 
 
+SLEEPY = """
+from cosim.components.python import Output, Parameter, PythonComponent
+
+
+class Sleepy(PythonComponent):
+    until = Parameter(0.35)
+    y = Output()
+
+    def step(self, time: float, step: float) -> None:
+        while time > self.until:
+            print("counting sheep", flush=True)
+            self.y = input() if self.until < 0.0 else 1.0
+"""
+NETWORK = """
+period: 100 ms
+duration: 1 s
+agents:
+  good: {components: {node: {python: "cosim.components.library:Sine"}}}
+  bad: {components: {node: {python: "sleepy:Sleepy"}}}
+"""
+
+
+def test_python_that_never_returns_ends_at_the_deadline(tmp_path: Path) -> None:
+    (tmp_path / "sleepy.py").write_text(SLEEPY, encoding="utf-8")
+    done = cosim(tmp_path, "run", "net.yaml", "--out", "out", "--no-report", "--step-deadline", "3 s", text=NETWORK)
+    assert done.returncode == 3
+    line = SLEEPY.splitlines().index('            print("counting sheep", flush=True)')
+    said = (
+        r"error: agent bad, component node, at t = 0\.3\d* s: has not returned for 3 s \(it is at (.*):(\d+)\); --step-"
+    )
+    found = re.search(f"^{said}", done.stderr, re.MULTILINE)
+    assert found is not None, done.stderr
+    assert Path(found[1]) == tmp_path / "sleepy.py"
+    assert int(found[2]) - 1 in {line - 1, line, line + 1}
+    left(tmp_path, 3)
+
+
+def test_python_that_never_returns_can_be_stopped(tmp_path: Path) -> None:
+    (tmp_path / "sleepy.py").write_text(SLEEPY, encoding="utf-8")
+    (tmp_path / "net.yaml").write_text(NETWORK, encoding="utf-8")
+    (tmp_path / "tmp").mkdir()
+    with subprocess.Popen(
+        [sys.executable, "-m", "cosim", "run", "net.yaml", "--out", "out", "--no-report"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path / "tmp")},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline() == "counting sheep\n"
+        process.stdout.close()  # nobody counts along
+        process.send_signal(signal.SIGINT)
+        while not process.stderr.readline().startswith("stopping as soon as"):
+            pass
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "interrupted at t = 0.3 s; everything until then is in out" in said
+    assert "Traceback" not in said
+    assert load(tmp_path / "out").manifest["status"] == "aborted: interrupted at t = 0.3 s"
+    left(tmp_path, 3)
+
+
 def test_a_program_that_handles_crashes_itself_is_left_alone(probes: dict[int, Path], tmp_path: Path) -> None:
     """Python's own fault handler says where, as whoever asked for it wants to know; so do virtual machines in FMUs."""
     (tmp_path / "net.yaml").write_text(scenario(probes[3], "step_crashes"), encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from cosim.recording.atomic import write_atomically
 from network.messages import Floats
 
 WIDTH = 3.5
@@ -239,7 +241,9 @@ def bands(axes: Axes, time: Floats, values: Floats) -> list[Any]:
 
 def save(figure: Figure, folder: Path, name: str) -> str:
     """Write `name.svg` and `name.pdf`; no dates in them. The text of the SVG."""
-    path = folder / f"{name}.svg"
-    figure.savefig(path, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
-    figure.savefig(folder / f"{name}.pdf", format="pdf", metadata={"CreationDate": None, "Creator": "netcosim"})
-    return path.read_text(encoding="utf-8")
+    svg, pdf = io.BytesIO(), io.BytesIO()
+    figure.savefig(svg, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+    figure.savefig(pdf, format="pdf", metadata={"CreationDate": None, "Creator": "netcosim"})
+    write_atomically(folder / f"{name}.svg", svg.getvalue())
+    write_atomically(folder / f"{name}.pdf", pdf.getvalue())
+    return svg.getvalue().decode()
