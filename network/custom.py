@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import difflib
-import importlib
-import sys
-import traceback
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from network.channel import Batch, Channel, ChannelError, ChannelModel, Setting, Transmission, invalid
+from network.loading import load, told
 from network.units import to_seconds
 
 
@@ -36,7 +32,7 @@ class Custom(ChannelModel):
         Raises:
             ValueError: there is no such class, it is no channel model, or its fields are wrong.
         """
-        found = load(self.cls)
+        found = load(self.cls, ChannelModel).cls  # type: ignore[type-abstract]
         try:
             return found.model_validate(self.options)
         except ValidationError as error:
@@ -46,7 +42,7 @@ class Custom(ChannelModel):
         try:
             return _Guarded(self.cls, self.served.open(setting), setting)
         except Exception as error:
-            raise ChannelError(f"{self.cls} cannot be opened: {_say(error)}") from error
+            raise ChannelError(f"{self.cls} cannot be opened: {told(error, __file__)}") from error
 
     def min_delay_ns(self) -> int:
         return self.served.min_delay_ns()
@@ -64,37 +60,6 @@ def _mistake(error: ErrorDetails) -> str:
     return (f"{where}: " if where else "") + error["msg"].removeprefix("Value error, ")
 
 
-def load(dotted: str) -> type[ChannelModel]:
-    """The class at `package.module:Class`, looked for on Python's path, then in the current folder.
-
-    Raises:
-        ValueError: there is none, its module cannot be imported, or it is no channel model.
-    """
-    module_name, colon, name = dotted.partition(":")
-    if not (module_name and colon and name):
-        raise ValueError(f"{dotted!r} is no class; write package.module:Class")
-    if str(Path.cwd()) not in sys.path:
-        sys.path.append(str(Path.cwd()))
-    try:
-        module = importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
-        if error.name and (module_name == error.name or module_name.startswith(f"{error.name}.")):
-            raise ValueError(f"there is no Python module {error.name!r}") from None
-        raise ValueError(f"{module_name} cannot be imported: {_say(error)}") from error
-    except (Exception, SystemExit) as error:
-        raise ValueError(f"{module_name} cannot be imported: {_say(error)}") from error
-    found = getattr(module, name, None)
-    if isinstance(found, type) and issubclass(found, ChannelModel):
-        return found
-    if found is None:
-        models = [
-            key for key, value in vars(module).items() if isinstance(value, type) and issubclass(value, ChannelModel)
-        ]
-        near = difflib.get_close_matches(name, models, n=1)
-        raise ValueError(f"{module_name} has no class {name!r}" + (f" (did you mean {near[0]!r}?)" if near else ""))
-    raise ValueError(f"{dotted} is no subclass of network.channel.ChannelModel")
-
-
 class _Guarded(Channel):
     """Says which channel failed, when, and where in the user's file."""
 
@@ -109,7 +74,7 @@ class _Guarded(Channel):
         try:
             sent = self._channel.transmit(tick)
         except Exception as error:
-            raise ChannelError(f"{self._at(tick)}: {_say(error)}") from error
+            raise ChannelError(f"{self._at(tick)}: {told(error, __file__)}") from error
         wrong = invalid(sent, tick, self._n, self.history)
         if wrong:
             raise ChannelError(f"{self._at(tick)}: {wrong}")
@@ -122,7 +87,7 @@ class _Guarded(Channel):
             batch = self._channel.transmit_many(ticks)
             sent = [*batch.by_tick()]
         except Exception as error:
-            raise ChannelError(f"{self._at(ticks.start)}: {_say(error)}") from error
+            raise ChannelError(f"{self._at(ticks.start)}: {told(error, __file__)}") from error
         for tick, each in zip(ticks, sent, strict=True):
             wrong = invalid(each, tick, self._n, self.history)
             if wrong:
@@ -131,11 +96,3 @@ class _Guarded(Channel):
 
     def _at(self, tick: int) -> str:
         return f"channel {self._name}, at tick {tick} (t = {to_seconds(tick * self._period_ns):.9g} s)"
-
-
-def _say(error: BaseException) -> str:
-    """One line: what went wrong, and the place in the user's code."""
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if "importlib" not in f.filename]
-    own = [f for f in frames if f.filename != __file__]
-    place = f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
-    return f"{type(error).__name__}: {error}{place}"

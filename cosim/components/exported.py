@@ -240,7 +240,9 @@ class _Registration:
     def _is_state(self, variable: Variable) -> bool:
         from cosim.components.python import State, load
 
-        return isinstance(getattr(load(self._slave.TARGET), variable.name, None), State) and bool(self._own.n_states)
+        return isinstance(getattr(load(self._slave.TARGET).cls, variable.name, None), State) and bool(
+            self._own.n_states
+        )
 
     def _units(self) -> Any:
         from pythonfmu3.unit import Unit

@@ -5,18 +5,10 @@
 
 from __future__ import annotations
 
-import functools
-import hashlib
-import importlib
-import inspect
 import itertools
 import math
-import pkgutil
-import sys
-import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -27,6 +19,8 @@ from cosim.components.saving import attributes_of, copied, from_bytes, put_back,
 from cosim.components.start_values import start_values
 from cosim.components.units import measure
 from cosim.errors import ComponentError, ConfigError, DiscardedStepError, EndRequestedError, Problem, suggest
+from network import loading
+from network.loading import Loaded, told
 
 _ARRAY_TYPES: dict[str, Any] = {
     "Float64": np.float64,
@@ -249,7 +243,8 @@ def describe_python(dotted: str, structural: Mapping[str, int] | None = None) ->
     Raises:
         ConfigError: there is no such class, or it is no usable component.
     """
-    cls = load(dotted)
+    loaded = load(dotted)
+    cls = loaded.cls
     declared = _declarations(cls)
     for name in declared:
         if hasattr(PythonComponent, name):
@@ -272,20 +267,14 @@ def describe_python(dotted: str, structural: Mapping[str, int] | None = None) ->
         for other in variable.dependencies or ():
             if other not in inputs:
                 raise _refuse(f"{dotted}: {name} depends on {other!r}, which is no input{suggest(other, inputs)}")
-    source = source_file(dotted)
     return Description(
         model=cls.__name__,
         fmi="python",
         interfaces=_interfaces(cls, dotted),
         variables=variables,
         can_get_and_set_state=cls.save is not None,
-        sha256=hashlib.sha256(Path(source).read_bytes()).hexdigest() if source else "",
+        sha256=loaded.sha256,
     )
-
-
-def source_file(dotted: str) -> str:
-    """The file that a class comes from; empty if there is none."""
-    return inspect.getsourcefile(load(dotted)) or ""
 
 
 def _declarations(cls: type[PythonComponent]) -> dict[str, Declaration]:
@@ -314,58 +303,20 @@ def _interfaces(cls: type[PythonComponent], dotted: str) -> tuple[Interface, ...
 
 
 # --- loading --------------------------------------------------------------------------------------------------------
-@functools.cache
-def load(dotted: str) -> type[PythonComponent]:
-    """The class at `package.module:Class`, looked for on Python's path, then in the current folder.
+def load(dotted: str) -> Loaded[PythonComponent]:
+    """The class at `package.module:Class`; see `network.loading`.
 
     Raises:
         ConfigError: there is none, its module cannot be imported, or it is no component.
     """
-    module_name, colon, class_name = dotted.partition(":")
-    if not (module_name and colon and class_name):
-        raise _refuse(f"{dotted!r} names no Python class; write package.module:Class")
-    if str(Path.cwd()) not in sys.path:
-        sys.path.append(str(Path.cwd()))
     try:
-        module = importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
-        missing = error.name or ""
-        if missing != module_name and not module_name.startswith(f"{missing}."):
-            raise _refuse(f"{module_name} cannot be imported: {_say(error)}") from error
-        raise _refuse(f"there is no Python module {missing!r}{suggest(missing, _siblings(missing))}") from None
-    except (Exception, SystemExit) as error:
-        raise _refuse(f"{module_name} cannot be imported: {_say(error)}") from error
-    cls = getattr(module, class_name, None)
-    if isinstance(cls, type) and issubclass(cls, PythonComponent):
-        return cls
-    components = [
-        name
-        for name, value in vars(module).items()
-        if isinstance(value, type) and issubclass(value, PythonComponent) and value is not PythonComponent
-    ]
-    if cls is None:
-        raise _refuse(f"module {module_name} has no class {class_name!r}{suggest(class_name, components)}")
-    raise _refuse(f"{dotted} is no component: derive it from cosim.components.python.PythonComponent")
+        return loading.load(dotted, PythonComponent)
+    except ValueError as error:
+        raise _refuse(str(error)) from error
 
 
 def _refuse(message: str) -> ConfigError:
     return ConfigError([Problem(message)])
-
-
-def _siblings(module_name: str) -> list[str]:
-    """The modules that lie where this one was looked for."""
-    package = module_name.rpartition(".")[0]
-    path = getattr(sys.modules[package], "__path__", []) if package else sys.path
-    prefix = f"{package}." if package else ""
-    return [prefix + module.name for module in pkgutil.iter_modules(path)]
-
-
-def _say(error: BaseException) -> str:
-    """One line: what went wrong, and the place in the user's code."""
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [f for f in frames if "importlib" not in f.filename and f.filename != __file__]
-    place = f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
-    return f"{type(error).__name__}: {error}{place}"
 
 
 # --- instances ------------------------------------------------------------------------------------------------------
@@ -387,13 +338,20 @@ class PythonInstance(Component):
         self.name = name
         self.interface = interface
         self.description = description
-        self._dotted = dotted
+        self._class = self._checked(dotted)
         self._begin()
+
+    def _checked(self, dotted: str) -> type[PythonComponent]:
+        """The class, which must be the one that was described."""
+        loaded = load(dotted)
+        if loaded.sha256 != self.description.sha256:
+            raise ComponentError(self.name, f"{loaded.file} has changed since {dotted} was described")
+        return loaded.cls
 
     def _begin(self) -> None:
         """A new instance of the class, with all values at the start values that are declared."""
         description = self.description
-        self._model: PythonComponent = self._run(load(self._dotted))
+        self._model: PythonComponent = self._run(self._class)
         variables = description.variables
         values = {v.name: np.array(v.start, _ARRAY_TYPES[v.dtype]).reshape(v.shape) for v in variables.values()}
         declared = _declarations(type(self._model))
@@ -419,7 +377,7 @@ class PythonInstance(Component):
             why = f": {error}" if str(error) else ""
             raise EndRequestedError(self.name, f"asks to end the simulation{why}") from error
         except (Exception, SystemExit) as error:
-            raise ComponentError(self.name, _say(error)) from error
+            raise ComponentError(self.name, told(error, __file__)) from error
 
     # --- values -----------------------------------------------------------------------------------------------------
     def get(self, variable: Variable) -> Floats:

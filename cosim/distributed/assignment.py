@@ -186,6 +186,6 @@ def _differences(plan: Plan, expected: Sequence[str]) -> str:
 def _file(component: ComponentPlan) -> str:
     if component.path is not None:
         return str(component.path)
-    from cosim.components.python import source_file
+    from cosim.components.python import load
 
-    return source_file(component.python or "")
+    return load(component.python or "").file

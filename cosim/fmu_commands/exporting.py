@@ -9,23 +9,20 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import cosim
+import network
 from cosim.components.component import Interface
 from cosim.components.fmu.archive import refuse
-from cosim.components.python import describe_python, load, source_file
+from cosim.components.python import describe_python, load
 from cosim.errors import ConfigError, Problem
 
 _TRAVELS = (
-    *(
-        "__init__.py",
-        "attention.py",
-        "errors.py",
-        "components/__init__.py",
-        "components/component.py",
-        "components/exported.py",
-    ),
-    *("components/python.py", "components/saving.py", "components/start_values.py", "components/units.py"),
+    *("cosim/__init__.py", "cosim/attention.py", "cosim/errors.py", "network/__init__.py", "network/loading.py"),
+    *(f"cosim/components/{name}.py" for name in ("__init__", "component", "exported", "python")),
+    *(f"cosim/components/{name}.py" for name in ("saving", "start_values", "units")),
 )
-"""Of this package: what a component needs inside an FMU."""
+"""What a component needs inside an FMU."""
+
+_PACKAGES = {package.__name__: Path(str(package.__file__)).parent for package in (cosim, network)}
 
 _SCRIPT = """\
 from cosim.components.exported import Exported
@@ -82,14 +79,14 @@ def export(target: str, out: Path | None, sizes: Mapping[str, int], files: Seque
 
 def _stage(staging: Path, target: str, model: str, sizes: Mapping[str, int], interfaces: str) -> Path:
     """What goes into the FMU's resources; the script that PythonFMU3 starts from."""
-    package = Path(cosim.__file__).parent
     for name in _TRAVELS:
-        place = staging / "cosim" / name
+        package, _, inside = name.partition("/")
+        place = staging / name
         place.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(package / name, place)
+        shutil.copyfile(_PACKAGES[package] / inside, place)
     _copy_module(target, staging)
     # In one process, modules of one name would be one: the name says what is in it.
-    content = f"{target}{sorted(sizes.items())}{Path(source_file(target)).read_bytes()!r}".encode()
+    content = f"{target}{sorted(sizes.items())}{Path(load(target).file).read_bytes()!r}".encode()
     script = staging / f"{model}_{hashlib.sha256(content).hexdigest()[:12]}.py"
     script.write_text(_SCRIPT.format(name=model, interfaces=interfaces, target=target, sizes=dict(sizes)), "utf-8")
     return script
@@ -97,9 +94,8 @@ def _stage(staging: Path, target: str, model: str, sizes: Mapping[str, int], int
 
 def _copy_module(target: str, staging: Path) -> None:
     """The module of the class: its file, or the whole package that it lies in."""
-    name = load(target).__module__ if ":" not in target else target.partition(":")[0]
-    top, _, inside = name.partition(".")
-    source = Path(source_file(target))
+    top, _, inside = target.partition(":")[0].partition(".")
+    source = Path(load(target).file)
     if not inside:
         if source.name == "__init__.py":
             shutil.copytree(source.parent, staging / top, ignore=shutil.ignore_patterns("__pycache__"))
@@ -107,7 +103,7 @@ def _copy_module(target: str, staging: Path) -> None:
             shutil.copyfile(source, staging / source.name)
         return
     if top == "cosim":
-        place = staging / "cosim" / source.relative_to(Path(cosim.__file__).parent)
+        place = staging / "cosim" / source.relative_to(_PACKAGES["cosim"])
         place.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(source, place)
         return

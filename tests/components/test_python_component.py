@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import sys
 from collections.abc import Mapping
@@ -11,6 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cosim import results
+from cosim.cli import main
 from cosim.components.component import Interface
 from cosim.components.python import (
     Input,
@@ -360,8 +363,11 @@ def refusal(name: str) -> str:
         ),
         ("cosmi.library:Sine", "there is no Python module 'cosmi' (did you mean 'cosim'?)"),
         ("cosim.components.library:Sin", "module cosim.components.library has no class 'Sin' (did you mean 'Sine'?)"),
-        ("cosim.components.library:math", "cosim.components.library:math is no component: derive it from"),
-        ("decimal:Decimal", "decimal:Decimal is no component: derive it from"),
+        ("cosim.components.library:math", "cosim.components.library:math is no PythonComponent: derive it from"),
+        (
+            "decimal:Decimal",
+            "decimal:Decimal is no PythonComponent: derive it from cosim.components.python.PythonComponent",
+        ),
     ],
 )
 def test_what_cannot_be_loaded(name: str, said: str) -> None:
@@ -404,4 +410,52 @@ def test_a_class_in_the_current_folder(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(sys, "path", [*sys.path])
     source = "from cosim.components.python import PythonComponent\nclass Mine(PythonComponent): pass\n"
     (tmp_path / "module_of_mine.py").write_text(source)
-    assert load("module_of_mine:Mine").__name__ == "Mine"
+    assert load("module_of_mine:Mine").cls.__name__ == "Mine"
+
+
+RISING = """\
+from cosim.components.python import Output, PythonComponent
+
+class Rising(PythonComponent):
+    y = Output(depends_on=())
+    def outputs(self, time):
+        self.y = {factor} * time
+"""
+RISING_NET = """\
+period: 100 ms
+duration: 1 s
+agents: {a: {components: {c: {python: "rising_part:Rising"}}, record: [c.y]}}
+"""
+
+
+def test_runs_of_one_process_are_of_the_code_that_their_manifests_tell(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The module is edited, and then another one of its name is in another folder."""
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    digests = []
+    for run, (folder, factor) in enumerate([("here", 1), ("here", 2), ("there", 3), ("here", 2)]):
+        where = tmp_path / folder
+        where.mkdir(exist_ok=True)
+        monkeypatch.chdir(where)
+        text = RISING.format(factor=factor)
+        (where / "rising_part.py").write_text(text)
+        (where / "net.yaml").write_text(RISING_NET)
+        assert main(["run", "net.yaml", "--out", f"run{run}", "--no-report"]) == 0
+        found = results.load(where / f"run{run}")
+        assert found.array("c.y")[-1, 0] == factor
+        (component,) = found.manifest["components"]
+        assert component["sha256"] == hashlib.sha256(text.encode()).hexdigest()
+        digests.append(found.manifest["digest"])
+    assert digests[1] == digests[3]
+    assert len(set(digests)) == 3
+
+
+def test_a_class_that_was_edited_since_it_was_described(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    (tmp_path / "rising_part.py").write_text(RISING.format(factor=4))
+    description = describe_python("rising_part:Rising")
+    (tmp_path / "rising_part.py").write_text(RISING.format(factor=5))
+    with pytest.raises(ComponentError, match=r"rising_part.py has changed since rising_part:Rising was described"):
+        PythonInstance("c", "rising_part:Rising", CS, description)

@@ -93,9 +93,10 @@ def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("cls", "options", "said"),
     [
-        ("nowhere", {}, "'nowhere' is no class; write package.module:Class"),
+        ("nowhere", {}, "'nowhere' names no Python class; write package.module:Class"),
         ("nowhere:Mine", {}, "there is no Python module 'nowhere'"),
-        (f"{OWN}:Radio", {}, "is no subclass of network.channel.ChannelModel"),
+        (f"{OWN[:-1]}:Tired", {}, f"there is no Python module '{OWN[:-1]}' (did you mean '{OWN}'?)"),
+        (f"{OWN}:Radio", {}, "Radio is no ChannelModel: derive it from network.channel.ChannelModel"),
         (f"{OWN}:Tired", {"loss": "130 %"}, f"options of {OWN}:Tired: loss: '130 %' is no probability"),
         ("broken_channel:Mine", {}, "broken_channel cannot be imported: SyntaxError"),
     ],
