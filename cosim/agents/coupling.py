@@ -78,7 +78,7 @@ class PythonLoop:
         ends = np.cumsum([0, *(component.n_states for component in components)])
         self._states = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
         self._discrete = [takes_in_event_mode(component, wiring.inputs[c]) for c, component in enumerate(components)]
-        self._propagation = _stretches(wiring.propagate)
+        self._at_events, self._between_events = _stretches(wiring.propagate), _stretches(wiring.follow)
         self._n_indicators = sum(component.n_indicators for component in components)
         self._indicators = np.empty(0)
         self._beyond = np.empty(0)
@@ -185,13 +185,13 @@ class PythonLoop:
     def _iterate_events(self) -> None:
         """From Event Mode to Continuous-Time Mode: update discrete states until no connected value changes any more."""
         signals, components = self._state.signals, self._components
-        self._propagate()
+        self._propagate(self._at_events)
         for _ in range(EVENT_ITERATIONS):
             for c, component in enumerate(components):
                 event = component.update_discrete_states()
                 self._state.next_event[c] = math.inf if event is None else event
             before = signals.copy()
-            self._propagate()
+            self._propagate(self._at_events)
             if np.array_equal(before, signals):
                 break
         else:
@@ -344,7 +344,7 @@ class PythonLoop:
     def _derivatives(self, time: float, x: Floats) -> Floats:
         """Derivatives of all states, with outputs carried to inputs in between."""
         self._place(time, x)
-        self._propagate()
+        self._propagate(self._between_events)
         return np.concatenate([component.derivatives() for component in self._components])
 
     def _place(self, time: float, x: Floats) -> None:
@@ -399,7 +399,7 @@ class PythonLoop:
 
     def _indicators_at(self, time: float, x: Floats) -> Floats:
         self._place(time, x)
-        self._propagate()
+        self._propagate(self._between_events)
         return self._get_indicators()
 
     def _get_indicators(self) -> Floats:
@@ -501,9 +501,9 @@ class PythonLoop:
             component.enter_step_mode()
 
     # --- transfers --------------------------------------------------------------------------------------------------
-    def _propagate(self) -> None:
+    def _propagate(self, parts: Iterable[AlgebraicLoop | list[Transfer]]) -> None:
         """Carry outputs to inputs, solving those that feed each other."""
-        for part in self._propagation:
+        for part in parts:
             if isinstance(part, AlgebraicLoop):
                 self._solve(part)
             else:

@@ -202,10 +202,18 @@ class Inputs:
                 self._moves[component, piece.own.name] = move
         self.held = tuple(transfer for c in sorted(held) for transfer in _transfers(Direction.GET, c, held[c]))
 
-    def sets(self, ports: Iterable[Port]) -> tuple[Transfer, ...]:
-        """What sets inputs of one component."""
-        keys = {(port.component, name): None for port in ports for name in self._behind[target_of(port)]}
+    def sets(self, ports: Iterable[Port], *, continuous: bool = False) -> tuple[Transfer, ...]:
+        """What sets inputs of one component; only those that may change between events, if wanted."""
+        keys = {key: None for port in ports for key in self._keys(port, continuous=continuous)}
         return _transfers(Direction.SET, next(iter(keys))[0], [self._moves[key] for key in keys]) if keys else ()
+
+    def follows(self, port: Port) -> bool:
+        """Whether anything behind an input may change between events."""
+        return bool(self._keys(port, continuous=True))
+
+    def _keys(self, port: Port, *, continuous: bool) -> list[tuple[int, str]]:
+        keys = [(port.component, name) for name in self._behind[target_of(port)]]
+        return [key for key in keys if not continuous or self._moves[key].variable.is_continuous]
 
 
 def target_of(port: Port) -> tuple[int, str]:

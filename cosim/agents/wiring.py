@@ -83,9 +83,11 @@ class Wiring:
         mailbox: its place.
         external: of each value from outside, its place.
         held: GET of arrays of which only some elements are fed: the others keep what they have at the start.
-        propagate: outputs to inputs, ordered so that every output is read after the inputs that feed through to it;
-            outputs that feed each other are solved together. Empty unless the coupling is `joint`, the only one that
-            evaluates outputs between steps.
+        propagate: at events, outputs to inputs, ordered so that every output is read after the inputs that feed through
+            to it; outputs that feed each other are solved together. Empty unless the coupling is `joint`, the only one
+            that evaluates outputs between steps.
+        follow: between events, the same for the inputs that are continuous: the others may be set in Event Mode only
+            (FMI 3.0, section 3.2.2; FMI 2.0.5, section 3.2.2).
         outputs: per component, GET of every output that some input is connected to.
         inputs: per component, SET of every connected input.
         listen: SET of every input that the mailbox or the outside feeds.
@@ -99,6 +101,7 @@ class Wiring:
     external: tuple[Positions, ...]
     held: tuple[Transfer, ...]
     propagate: tuple[Transfer | AlgebraicLoop, ...]
+    follow: tuple[Transfer | AlgebraicLoop, ...]
     outputs: tuple[tuple[Transfer, ...], ...]
     inputs: tuple[tuple[Transfer, ...], ...]
     listen: tuple[Transfer, ...]
@@ -150,6 +153,7 @@ def wire(plan: AgentPlan, layout: MessageLayout) -> Wiring:
         external=tuple(external),
         held=inputs.held,
         propagate=_propagation(plan, places, inputs) if joint else (),
+        follow=_propagation(plan, places, inputs, continuous=True) if joint else (),
         outputs=tuple(places.gets([p for p in connected if p.component == c]) for c in components),
         inputs=tuple(inputs.sets(feed[0] for feed in connections if feed[0].component == c) for c in components),
         listen=tuple(
@@ -221,13 +225,22 @@ def _heard(
     return [(port, positions) for port, positions in feeds if positions.size]
 
 
-def _propagation(plan: AgentPlan, places: Places, inputs: Inputs) -> tuple[Transfer | AlgebraicLoop, ...]:
+def _propagation(
+    plan: AgentPlan, places: Places, inputs: Inputs, *, continuous: bool = False
+) -> tuple[Transfer | AlgebraicLoop, ...]:
     """Kahn's algorithm over outputs: read all outputs whose feeding inputs are set, set what they feed, repeat.
 
     Where none is left of these, some feed each other: such a loop is solved as a whole, and counts as read.
+
+    Args:
+        plan: of the agent.
+        places: where the outputs lie.
+        inputs: what sets the inputs.
+        continuous: only inputs that are; the others hold what they have, and close no loop.
     """
-    source_of = {target_of(x.target): key_of(x.source) for x in plan.connections}
-    waiting = unique(connection.source for connection in plan.connections)
+    connections = [x for x in plan.connections if not continuous or inputs.follows(x.target)]
+    source_of = {target_of(x.target): key_of(x.source) for x in connections}
+    waiting = unique(connection.source for connection in connections)
     done: set[Key] = set()
     parts: list[Transfer | AlgebraicLoop] = []
     components = range(len(plan.components))
@@ -238,9 +251,8 @@ def _propagation(plan: AgentPlan, places: Places, inputs: Inputs) -> tuple[Trans
 
     def sets(sources: Container[Key]) -> Iterator[Transfer]:
         for c in components:
-            yield from inputs.sets(
-                x.target for x in plan.connections if x.target.component == c and key_of(x.source) in sources
-            )
+            targets = [x.target for x in connections if x.target.component == c and key_of(x.source) in sources]
+            yield from inputs.sets(targets, continuous=continuous)
 
     while waiting:
         feeding = {

@@ -79,8 +79,8 @@ class Variable:
 
     @property
     def is_continuous(self) -> bool:
-        """Whether it changes between events too."""
-        return self.variability == "continuous"
+        """Whether it changes between events too: only real numbers can (FMI 2.0 lets integers leave that open)."""
+        return self.variability == "continuous" and self.dtype.startswith("Float")
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ static bool place(Agent *agent, double time, const double *x) {
 /* Derivatives of all states, with outputs carried to inputs in between. */
 static bool derivatives(Agent *agent, double time, const double *x, double *result) {
     *agent->time = time;
-    if (!place(agent, time, x) || !carry_out(agent, agent->propagate, agent->signals)) return false;
+    if (!place(agent, time, x) || !carry_out(agent, agent->follow, agent->signals)) return false;
     for (int c = 0; c < agent->n_components; c++)
         if (!get_derivatives(agent, c, result + agent->components[c].first_state)) return false;
     return true;
@@ -73,7 +73,7 @@ static bool get_all_indicators(Agent *agent, double *indicators) {
 
 static bool indicators_at(Agent *agent, double time, const double *x, double *indicators) {
     *agent->time = time;
-    return place(agent, time, x) && carry_out(agent, agent->propagate, agent->signals) &&
+    return place(agent, time, x) && carry_out(agent, agent->follow, agent->signals) &&
            get_all_indicators(agent, indicators);
 }
 

@@ -145,7 +145,8 @@ typedef struct {
     const Transfer *transfers;
     const Transfers *outputs; /* n_components */
     const Transfers *inputs;  /* n_components */
-    Transfers propagate;
+    Transfers propagate; /* at events */
+    Transfers follow;    /* between events: continuous inputs only */
     Transfers listen;
     Transfers sample;
     const int32_t *owner; /* n_signals: the component whose output it is, -1 for the mailbox */

@@ -56,6 +56,7 @@ class Kind:
             width=wiring.mailbox.values.shape[1],
             grid=coupling.grid,
             propagate=self._transfers.add([part for part in wiring.propagate if isinstance(part, Transfer)]),
+            follow=self._transfers.add([part for part in wiring.follow if isinstance(part, Transfer)]),
             listen=self._transfers.add(wiring.listen),
             sample=self._transfers.add(wiring.sample),
             outputs=self._keep((layout.Transfers * n)(*map(self._transfers.add, wiring.outputs))),

@@ -20,7 +20,8 @@
 #include "fmi3Functions.h"
 
 enum { OK, DISCARD = 2, ERROR = 3, FATAL = 4, PENDING = 5 };
-enum { TIME = 0, FAILS = 1, N = 3, VECTOR = 10, STATE = 50, RATE = 51, EVENTS = 52, INSTANCES = 53, N_SLOTS = 64 };
+enum { TIME = 0, FAILS = 1, N = 3, VECTOR = 10, STATE = 50, RATE = 51, EVENTS = 52, INSTANCES = 53, COUNT = 55, N_SLOTS = 64 };
+enum { INT32_IN = 16 };
 
 /* Values of the parameter `fails`. */
 enum {
@@ -57,6 +58,9 @@ enum {
     STEP_WANDERS,
     STEP_SCRIBBLES,
     NARROW,
+    TICKS,
+    ARMS,
+    RELAYS,
 };
 
 typedef struct {
@@ -65,6 +69,7 @@ typedef struct {
     char label[64];
     bool structural_mode, fmi3, falling;
     bool has_event_mode, in_event_mode; /* Co-Simulation of FMI 3.0 */
+    bool in_continuous_time_mode;
     double next_event;
     int questions;
     void *environment;
@@ -180,6 +185,9 @@ static double rate(const Probe *p) {
     if (mode(p) == STATE_GROWS) return p->slots[STATE] * p->slots[STATE] * p->slots[STATE];
     if (mode(p) == DERIVATIVE_NAN) return p->slots[TIME] > 0.05 ? NAN : 0.0;
     if (mode(p) == DERIVATIVE_JUMPS) return p->slots[TIME] > 0.05 ? 1e30 : 0.0;
+    if (mode(p) == TICKS) return p->slots[INT32_IN];
+    if (mode(p) == ARMS) return p->slots[COUNT] == 2.0 ? 0.0 : 10.0;
+    if (mode(p) == RELAYS) return p->slots[COUNT];
     if (mode(p) == CHATTERS) return p->falling ? -10.0 : 10.0;
     return 10.0 + p->vector[0];
 }
@@ -191,7 +199,38 @@ static double value_of(Probe *p, unsigned reference, size_t element) {
     return *slot(p, reference, element);
 }
 
+/* Its time has come, to the last bit. */
+static bool due(const Probe *p) { return p->slots[TIME] >= p->next_event; }
+
+/* Models with events that an exact solution follows from: `count` counts the multiples of vector[1]; once x has reached
+ * 1.25 at the end of a step, it begins at 1 again and stands still vector[1] later; `count` is whether vector[0] > 0.5. */
+static void update_exactly(Probe *p) {
+    double *count = &p->slots[COUNT];
+    switch (mode(p)) {
+        case TICKS:
+            p->next_event = (*count + 1.0) * p->vector[1];
+            if (due(p)) p->next_event = (++*count + 1.0) * p->vector[1];
+            break;
+        case ARMS:
+            if (*count == 1.0 && due(p)) *count = 2.0;
+            if (*count != 1.0) p->next_event = 1e9;
+            if (*count != 0.0 || p->slots[STATE] < 1.25) break;
+            *count = p->slots[STATE] = 1.0;
+            p->next_event = p->slots[TIME] + p->vector[1];
+            break;
+        case RELAYS:
+            *count = p->vector[0] > 0.5;
+            p->next_event = 1e9;
+            break;
+    }
+}
+
 static int update(Probe *p, bool *again, bool *stop, double *next_event) {
+    if (mode(p) >= TICKS) {
+        update_exactly(p);
+        *again = *stop = false, *next_event = p->next_event;
+        return OK;
+    }
     while (p->next_event <= p->slots[TIME] + 1e-12) p->next_event += 0.03;
     if (p->slots[STATE] >= 2.0) p->slots[STATE] -= 1.0;
     p->slots[EVENTS] += 1.0;
@@ -206,13 +245,14 @@ static int update(Probe *p, bool *again, bool *stop, double *next_event) {
 static int indicate(Probe *p, double z[], size_t n) {
     if (n != 1) return failed(p, ERROR);
     z[0] = mode(p) == CHATTERS ? 1.5 - p->slots[STATE] : 2.0 - p->slots[STATE];
+    if (mode(p) == RELAYS) z[0] = p->vector[0] - 0.5;
     if (mode(p) == NARROW) z[0] *= (p->slots[STATE] - 1.0005) * (p->slots[STATE] - 1.002);
     if (mode(p) == INDICATOR_NAN && p->slots[TIME] > 0.05) z[0] = NAN;
     return OK;
 }
 
 static int completed(Probe *p, bool *event, bool *stop) {
-    *event = p->slots[STATE] > 2.0;
+    *event = mode(p) == ARMS ? p->slots[STATE] >= 1.25 : mode(p) < TICKS && p->slots[STATE] > 2.0;
     *stop = mode(p) == COMPLETED_STOPS;
     return mode(p) == COMPLETED_ERROR ? failed(p, ERROR) : OK;
 }
@@ -302,14 +342,23 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance i, fmi3Boolean defined, fmi3
 fmi3Status fmi3ExitInitializationMode(fmi3Instance i) { return (fmi3Status)initialised(i); }
 fmi3Status fmi3EnterEventMode(fmi3Instance i) {
     PROBE(i)->in_event_mode = true;
+    PROBE(i)->in_continuous_time_mode = false;
     return fmi3OK;
 }
 fmi3Status fmi3EnterStepMode(fmi3Instance i) {
     PROBE(i)->in_event_mode = false;
     return fmi3OK;
 }
-fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance i) { return i ? fmi3OK : fmi3Error; }
+fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance i) {
+    PROBE(i)->in_continuous_time_mode = true;
+    return fmi3OK;
+}
 fmi3Status fmi3Terminate(fmi3Instance i) { return i ? fmi3OK : fmi3Error; }
+
+/* Where discrete inputs must not be set. */
+static bool outside_of_event_mode(const Probe *p) {
+    return p->in_continuous_time_mode || (p->has_event_mode && !p->in_event_mode);
+}
 
 #define ACCESS3(Name, discrete)                                                                                    \
     fmi3Status fmi3Get##Name(fmi3Instance i, const fmi3ValueReference vr[], size_t n, fmi3##Name values[],         \
@@ -322,7 +371,7 @@ fmi3Status fmi3Terminate(fmi3Instance i) { return i ? fmi3OK : fmi3Error; }
     fmi3Status fmi3Set##Name(fmi3Instance i, const fmi3ValueReference vr[], size_t n, const fmi3##Name values[],   \
                              size_t n_values) {                                                                    \
         (void)n_values;                                                                                            \
-        if (discrete && PROBE(i)->has_event_mode && !PROBE(i)->in_event_mode) return (fmi3Status)failed(i, ERROR); \
+        if (discrete && outside_of_event_mode(i)) return (fmi3Status)failed(i, ERROR);                             \
         for (size_t j = 0; j < n; j++) {                                                                           \
             if (vr[j] == N && !PROBE(i)->structural_mode) return (fmi3Status)failed(i, ERROR);                     \
             for (size_t e = 0; e < size_of(i, vr[j]); e++) *slot(i, vr[j], e) = (double)*values++;                 \
@@ -430,24 +479,25 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean defined, fmi2Real to
 }
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return c ? fmi2OK : fmi2Error; }
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return (fmi2Status)initialised(c); }
-fmi2Status fmi2EnterEventMode(fmi2Component c) { return c ? fmi2OK : fmi2Error; }
-fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { return c ? fmi2OK : fmi2Error; }
+fmi2Status fmi2EnterEventMode(fmi2Component c) { return (fmi2Status)fmi3EnterEventMode(c); }
+fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { return (fmi2Status)fmi3EnterContinuousTimeMode(c); }
 fmi2Status fmi2Terminate(fmi2Component c) { return c ? fmi2OK : fmi2Error; }
 
-#define ACCESS2(Name)                                                                                           \
+#define ACCESS2(Name, discrete)                                                                                      \
     fmi2Status fmi2Get##Name(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2##Name values[]) {   \
         for (size_t j = 0; j < n; j++) values[j] = (fmi2##Name)value_of(c, vr[j], 0);                               \
         return fmi2OK;                                                                                          \
     }                                                                                                           \
     fmi2Status fmi2Set##Name(fmi2Component c, const fmi2ValueReference vr[], size_t n,                          \
                              const fmi2##Name values[]) {                                                       \
+        if (discrete && outside_of_event_mode(c)) return (fmi2Status)failed(c, ERROR);                          \
         for (size_t j = 0; j < n; j++) *slot(c, vr[j], 0) = (double)values[j];                                  \
         return fmi2OK;                                                                                          \
     }
 
-ACCESS2(Real)
-ACCESS2(Integer)
-ACCESS2(Boolean)
+ACCESS2(Real, false)
+ACCESS2(Integer, true)
+ACCESS2(Boolean, true)
 
 fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2String values[]) {
     (void)vr, (void)n;

@@ -24,6 +24,7 @@ FAILS = (
     *("derivative_hangs", "derivative_crashes", "indicator_nan", "chatters", "step_fixed", "early_forever"),
     *("step_discards_long", "step_pending", "step_pending_error", "step_pending_forever"),
     *("step_prints", "step_floods", "step_hangs", "step_crashes", "step_wanders", "step_scribbles", "narrow"),
+    *("ticks", "arms", "relays"),
 )
 
 
@@ -101,6 +102,7 @@ def description3() -> str:
     <Float64 name="der(x)" valueReference="51" derivative="50"/>
     <Int32 name="events" valueReference="52" causality="output"/>
     <Int32 name="instances" valueReference="53" causality="output"/>
+    <Int32 name="count" valueReference="55" causality="output"/>
     <Binary name="blob" valueReference="60" causality="parameter" variability="fixed"><Start value="00"/></Binary>
   </ModelVariables>
   <ModelStructure>
@@ -109,6 +111,7 @@ def description3() -> str:
     <Output valueReference="50" dependencies=""/>
     <Output valueReference="52"/>
     <Output valueReference="53"/>
+    <Output valueReference="55" dependencies=""/>
     <ContinuousStateDerivative valueReference="51"/>
   </ModelStructure>
 </fmiModelDescription>
@@ -142,6 +145,7 @@ def description2() -> str:
         ('name="x" valueReference="50" causality="output" initial="exact"', '<Real start="1"/>'),
         ('name="der(x)" valueReference="51"', '<Real derivative="14"/>'),
         ('name="instances" valueReference="53" causality="output" variability="discrete"', "<Integer/>"),
+        ('name="count" valueReference="55" causality="output" variability="discrete"', "<Integer/>"),
     ]
     variables = "".join(f"<ScalarVariable {a}>{b}</ScalarVariable>" for a, b in scalars)
     return f"""<?xml version="1.0" encoding="UTF-8"?>
@@ -164,6 +168,7 @@ def description2() -> str:
       <Unknown index="13" dependencies="8"/>
       <Unknown index="14" dependencies=""/>
       <Unknown index="16"/>
+      <Unknown index="17" dependencies=""/>
     </Outputs>
     <Derivatives><Unknown index="15"/></Derivatives>
   </ModelStructure>

@@ -1,0 +1,58 @@
+"""Events of Model Exchange against exact solutions, with both loops: the same bits, and the right ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.plan import AgentPlan, CouplingPlan, Integrator, Method
+from network.messages import MessageLayout
+from tests.components.probe import TYPES
+from tests.kernel.agents import T_NS, LiveAgent
+from tests.kernel.test_bits import probe_pair
+
+JOINT = CouplingPlan(Method.JOINT, 7_000_000)
+VERSIONS = [(2, 2), (3, 3), (2, 3)]
+
+
+def played(plan: AgentPlan, ticks: int) -> float:
+    """The second probe's `x` at the end, with both loops."""
+    traces, found = [], 0.0
+    for native in (True, False):
+        agent = LiveAgent(plan, native=native, layout=MessageLayout((), ()))
+        agent.python.initialise(0, ticks * T_NS)
+        traces.append([agent.snapshot()])
+        for tick in range(ticks):
+            agent.advance(tick)
+            traces[-1].append(agent.snapshot())
+        found = agent.value(1, "x").item()
+        agent.end()
+    assert traces[0] == traces[1]
+    return found
+
+
+@pytest.mark.parametrize("integrator", list(Integrator))
+@pytest.mark.parametrize("versions", VERSIONS, ids=str)
+def test_a_discrete_input_follows_at_events(
+    probes: dict[int, Path], versions: tuple[int, int], integrator: Integrator
+) -> None:
+    """The first counts the multiples of 0.03 s; the second integrates that number. The probe refuses a whole number
+    that it is given between events.
+    """
+    plan = probe_pair(
+        [probes[v] for v in versions],
+        [("count", "Int32_in"), ("vector_out", "vector_in")],
+        replace(JOINT, integrator=integrator),
+        ("ticks", "ticks"),
+        (0.0, 0.03),
+    )
+    events = 0.03 * np.arange(1, int(0.5 / 0.03) + 1)
+    assert played(plan, ticks=5) == pytest.approx(1.0 + (0.5 - events).sum(), abs=1e-7)
+
+
+@pytest.mark.parametrize("name", TYPES[1:])
+def test_no_discrete_input_is_set_between_events(probes: dict[int, Path], name: str) -> None:
+    played(probe_pair([probes[3]] * 2, [("x", f"{name}_in")], JOINT), ticks=2)
