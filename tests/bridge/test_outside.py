@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import struct
 import subprocess
@@ -22,6 +23,7 @@ from cosim.errors import ConfigError
 from cosim.plan import Plan
 from network.plain import PlainKeys
 from tests.bridge.labs import TICKS, outside, planned, play, refuse_nothing, replayed, scenario, until
+from tests.distributed.started import free_port
 
 PYTHON_LOOP = "coupling.loop=python"
 JACOBI = "{method: jacobi, step: 5 ms}"
@@ -157,7 +159,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 
 
 def test_an_endpoint_that_is_taken(tmp_path: Path) -> None:
-    text = scenario("tcp/127.0.0.1:17449")
-    plan = planned(tmp_path, text)
-    with Live(plan, refuse_nothing), pytest.raises(ConfigError, match=r"cannot listen at tcp/127\.0\.0\.1:17449"):
+    where = f"tcp/127.0.0.1:{free_port()}"
+    plan = planned(tmp_path, scenario(where))
+    with Live(plan, refuse_nothing), pytest.raises(ConfigError, match=f"cannot listen at {re.escape(where)}"):
         Live(plan, refuse_nothing)

@@ -146,7 +146,7 @@ def test_across_processes_too(probes: dict[int, Path], tmp_path: Path) -> None:
     ("fails", "said", "last"),
     [
         ("step_crashes", r"its process was killed by signal 11 \(SIGSEGV\)", "about to crash"),
-        ("step_hangs", r"did not answer within 3 s, and its process was killed", "going round in circles"),
+        ("step_hangs", r"did not answer within 5 s, and its process was killed", "going round in circles"),
         ("step_scribbles", r"its process says what it must not: .*", None),
         ("step_error", r"fmi3DoStep returned Error", "[Error] the probe gives up at t = 0"),
     ],
@@ -154,7 +154,7 @@ def test_across_processes_too(probes: dict[int, Path], tmp_path: Path) -> None:
 def test_the_run_ends_in_good_order(
     probes: dict[int, Path], tmp_path: Path, fails: str, said: str, last: str | None
 ) -> None:
-    deadline = 3 if fails == "step_hangs" else 100  # others may take their time, as for a core dump
+    deadline = 5 if fails == "step_hangs" else 100  # others may take their time, as for a core dump
     text = scenario(probes[3], fails, f", isolate: {{deadline: {deadline} s}}")
     done = cosim(tmp_path, "run", "net.yaml", "--out", "out", "--no-report", text=text)
     assert done.returncode == 3

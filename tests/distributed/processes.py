@@ -56,20 +56,28 @@ def assert_nothing_left(folder: Path) -> None:
     assert [line for line in lines if b"_process" in line and str(folder).encode() in line] == []
 
 
-def child(name: str, of: int | None = None) -> int:
-    """The process of that name among those that this one, or another, started."""
-    above = os.getpid() if of is None else of
+def children() -> dict[str, int]:
+    """The processes of runs that this one started and that live, by their names."""
+    found = {}
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (path / "cmdline").read_bytes().split(b"\0")
+            parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
+        except OSError:
+            continue
+        if parent == os.getpid() and b"_process" in words:
+            found[words[words.index(b"_process") + 1].decode()] = int(path.name)
+    return found
+
+
+def child(name: str) -> int:
+    """The process of that name among those that this one started."""
     deadline = time.monotonic() + PATIENCE
-    while time.monotonic() < deadline:  # on a busy host a process that has just been started may not bear its name yet
-        for path in Path("/proc").glob("[0-9]*"):
-            try:
-                words = (path / "cmdline").read_bytes().split(b"\0")
-                parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
-            except OSError:
-                continue
-            if parent == above and b"_process" in words and name.encode() in words:
-                return int(path.name)
-    raise LookupError(name)
+    while (known := children()).get(name) is None:  # one that has just been started may not bear its name yet
+        if time.monotonic() > deadline:
+            raise LookupError(f"{name} is not among {', '.join(known)}")
+        time.sleep(0.01)
+    return known[name]
 
 
 def harm_at_birth(monkeypatch: pytest.MonkeyPatch, name: str, number: signal.Signals) -> None:

@@ -27,6 +27,7 @@ from cosim.errors import ClusterError, RunError
 from cosim.running.pacing import Pacer
 from network.envelope import Streams
 from network.transport import Kind
+from network.zenoh import LEASE
 from tests.components.probe import FAILS
 from tests.distributed.loopback import Loopback
 from tests.distributed.networks import Record, in_process, planned, ring, scenario
@@ -132,7 +133,7 @@ def probes_scenario(probe: Path, fails: str) -> str:
 @pytest.mark.parametrize(
     ("fails", "said"),
     [
-        ("derivative_hangs", "did not get further for 3 s"),
+        ("derivative_hangs", "did not get further for 5 s"),
         ("derivative_crashes", "was killed by signal 11 (SIGSEGV)"),
     ],
 )
@@ -140,7 +141,7 @@ def test_native_code_that_hangs_or_crashes(fails: str, said: str, probes: dict[i
     """All agents of the worker are advanced by one native call: which one it is, is known all the same."""
     plan = planned(probes_scenario(probes[3], fails))
     with pytest.raises(ClusterError) as caught:
-        cluster.run(plan, 1, [Record()], step_deadline=3.0)
+        cluster.run(plan, 1, [Record()], step_deadline=5.0)
     lines = str(caught.value).splitlines()
     assert (
         lines[0] == f"worker-1 (agents 1..3) {said} at tick 3 (t = 0.3 s), while it advanced agent 2, component probe"
@@ -239,7 +240,7 @@ def test_orchestrator_that_is_stopped_for_a_while(tmp_path: Path) -> None:
     with started(tmp_path, *run) as orchestrator:
         orchestrator.hear("s simulated")
         orchestrator.signal(signal.SIGSTOP)
-        sleep(3.0)  # longer than a connection to another host may be silent
+        sleep(LEASE + 1)  # longer than a connection to another host may be silent
         orchestrator.signal(signal.SIGCONT)
         orchestrator.succeed()
     assert manifest(tmp_path / "out")["status"] == "complete"

@@ -299,11 +299,12 @@ def test_nobody_waits_for_ever(start: Start, tmp_path: Path) -> None:
     code, _, error = worker.end()
     assert code == 3
     assert f"error: a: nobody answers at {where}" in error
-    serve = start("s", "serve", *ARMS, "--listen", where, "--wait", "3 s")
     early = start("b", "worker", "--connect", where, "--agents", "1..7")
+    early.hear("nobody answers")
+    serve = start("s", "serve", *ARMS, "--listen", where, "--wait", "8 s")
     code, _, error = serve.end()
     assert code == 3
-    assert "error: not there after 3 s: the emulator, agents 8..10" in error
+    assert "error: not there after 8 s: the emulator, agents 8..10" in error
     code, _, error = early.end()
     assert code == 3
     assert not (tmp_path / "s" / "out").exists()

@@ -109,10 +109,10 @@ def test_longer_than_a_window_of_grants(scratch: Path, monkeypatch: pytest.Monke
 def test_component_that_fails_ends_the_run_as_in_process(tmp_path: Path) -> None:
     text = scenario(5, ring(5), "slack", faults={3: ("Failing", 0.55), 4: ("Failing", 0.55)})
     (tmp_path / "net.yaml").write_text(text)
-    plain = cosim(tmp_path, "net.yaml", "--out", "plain")
-    across = cosim(tmp_path, "net.yaml", "--out", "across", "--distributed", "--workers", "3")
+    plain = cosim(tmp_path, "net.yaml", "--out", "plain", "--quiet")
+    across = cosim(tmp_path, "net.yaml", "--out", "across", "--distributed", "--workers", "3", "--quiet")
     assert plain.returncode == across.returncode == 3
-    assert across.stderr.splitlines()[-2:] == plain.stderr.replace("plain", "across").splitlines()  # after progress
+    assert across.stderr == plain.stderr.replace("plain", "across")
     assert "agent 3, component node, at t = 0.5" in across.stderr
     one, other = manifest(tmp_path / "plain"), manifest(tmp_path / "across")
     assert (one["status"], one["digest"], one["ticks"]) == (other["status"], other["digest"], other["ticks"])
@@ -189,8 +189,8 @@ def test_process_that_is_killed_from_outside_at_any_moment(name: str, scratch: P
 @pytest.mark.parametrize(
     ("fault", "deadline", "said"),
     [
-        ("Hanging", 3.0, "did not get further for 3 s"),
-        ("Stopped", 3.0, "is stopped by signal 19 (SIGSTOP)"),
+        ("Hanging", 5.0, "did not get further for 5 s"),
+        ("Stopped", 5.0, "is stopped by signal 19 (SIGSTOP)"),
         ("Stopped", 60.0, "is stopped by signal 19 (SIGSTOP)"),
         ("Exiting", 60.0, "ended with exit code 7"),
     ],

@@ -56,7 +56,7 @@ def test_a_run_with_keys_through_a_router(keys: Path, tmp_path: Path, capsys: py
         "orchestrator": ("serve", *scenario, *place, str(keys / "orchestrator"), "--no-report", "--out", "out"),
         "lab-a": ("worker", *place, str(keys / "lab-a")),
         "lab-b": ("worker", *place, str(keys / "lab-b")),
-        "lab-c": ("worker", *place, str(keys / "lab-c"), "--wait", "3 s"),
+        "lab-c": ("worker", *place, str(keys / "lab-c"), "--wait", "6 s"),
     }
     with router(config), ExitStack() as stack:
         running = {name: stack.enter_context(started(tmp_path / name, *line)) for name, line in commands.items()}
