@@ -55,7 +55,7 @@ def in_unit_of(variable: Variable, other: Variable) -> Variable | None:
         return None
     if scale == IDENTITY:
         return variable
-    return scaled(variable, scale, other)
+    return scaled(variable, scale, replace(other, measure=replace(other.measure, relative=variable.measure.relative)))
 
 
 def scaled(variable: Variable, scale: Scale, unit_of: Variable) -> Variable:

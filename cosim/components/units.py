@@ -43,11 +43,13 @@ class Measure:
 
     Attributes:
         exponents: of the base units.
+        relative: of a difference (FMI: `relativeQuantity`), of which the offset does not count.
     """
 
     exponents: tuple[int, ...]
     factor: float = 1.0
     offset: float = 0.0
+    relative: bool = False
 
     def __str__(self) -> str:
         powers = [f"{base}{n if n != 1 else ''}" for base, n in zip(BASE, self.exponents, strict=True) if n]
@@ -58,7 +60,8 @@ def conversion(source: Measure, target: Measure) -> Scale | None:
     """From values in one unit to values in another; None where they measure different things."""
     if source.exponents != target.exponents:
         return None
-    return Scale(source.factor / target.factor, (source.offset - target.offset) / target.factor)
+    offset = 0.0 if source.relative or target.relative else (source.offset - target.offset) / target.factor
+    return Scale(source.factor / target.factor, offset)
 
 
 _WRITTEN = str.maketrans("·*⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "..-0123456789")

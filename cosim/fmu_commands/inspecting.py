@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from cosim.components.component import Interface, Value, Variable
+from cosim.components.fmu.archive import refuse
 from cosim.components.fmu.library import PLATFORM, File, findings, read, runs_in_python
-from cosim.components.fmu.variables import fmi2_variables, fmi3_variables
+from cosim.components.fmu.variables import variables_of
 
 _KINDS = (
     ("inputs", ("input",)),
@@ -47,7 +48,10 @@ def report(path: Path, *, everything: bool = False) -> str:
         ConfigError: it is no FMU, or one of FMI 1.0.
     """
     file = read(path)
-    variables = fmi2_variables(file.model) if file.fmi == 2 else fmi3_variables(file.model, {})
+    try:
+        variables = variables_of(file.model, {})
+    except ValueError as error:
+        raise refuse(path, f"has a broken modelDescription.xml: {error}") from error
     sections = [_head(file, path), _variables(variables, everything=everything), _problems(file, path, variables)]
     return "\n\n".join("\n".join(section) for section in sections if section)
 

@@ -188,13 +188,17 @@ class _Mapping:
                 )
                 return None
             else:
-                variables.append(replace(converted, unit=wanted.unit, measure=wanted.measure))
+                meant = wanted.measure
+                if meant is not None and variable.measure is not None:
+                    meant = replace(meant, relative=variable.measure.relative)
+                variables.append(replace(converted, unit=wanted.unit, measure=meant))
         return replace(taken, variables=tuple(variables))
 
     def _measure(self, unit: str | None) -> Measure | None:
         """As the component defines the unit, else as it is written."""
         of_own = (v.measure for v in self._own.variables.values() if v.unit == unit and v.measure is not None)
-        return next(of_own, None) or measure(unit) if unit is not None else None
+        found = next(of_own, None) or measure(unit)
+        return None if found is None else replace(found, relative=False)
 
     def _together(self, name: str, causality: str, taken: _Taken, where: Location) -> Variable | None:
         """The variable that stands for the elements."""

@@ -97,7 +97,12 @@ def type_mismatch(source: Variable, target: Variable) -> str | None:
 def warn_of_units(
     names: Sequence[str], source: Variable, target: Variable, where: Location, problems: Problems
 ) -> None:
-    """Two units of which one is not known: values pass as they are."""
+    """Two units of which one is not known: values pass as they are. Or a difference where a value is meant."""
+    one, other = source.measure, target.measure
+    if one and other and one.relative != other.relative and one.offset != other.offset:
+        difference, value = names if one.relative else reversed(names)
+        text = f"{difference} is a difference (relativeQuantity), {value} is not; of the units only the factor counts"
+        problems.warning(text, where)
     if source.unit is None or target.unit is None or source.unit == target.unit:
         return
     unknown = [v.unit for v in (source, target) if v.measure is None]

@@ -217,21 +217,44 @@ def test_no_description(probe_library: Path, tmp_path: Path) -> None:
     assert "holds no modelDescription.xml" in refusal(write_fmu(tmp_path / "x.fmu", probe_library, None))
 
 
+SIZE = '"vector_in" (line 14) has a size given by the value reference 77, which no variable has'
+NO_SIZE = '"vector_in" (line 14) has a size given by a variable whose start value is missing'
+ODD_NUMBER = "\"vector_in\" (line 14): could not convert string to float: 'zero'"
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "no element found"),
+        ("", "Document is empty"),
         ("<fmiModelDescription", "broken modelDescription.xml"),
         (description3()[:-60], "broken modelDescription.xml"),
         ("<html/>", "does not say which version of FMI"),
         (description3().replace(' valueReference="50"', "", 1), "valueReference"),
-        (description3().replace('dependencies="10"', 'dependencies="99"'), "broken modelDescription.xml"),
-        (description3().replace('start="0 0"', 'start="0 zero"'), "could not convert string to float: 'zero'"),
+        (
+            description3().replace('dependencies="10"', 'dependencies="99"'),
+            "names the value reference 99, which does not",
+        ),
+        (
+            description2().replace('dependencies="4"', 'dependencies="44"'),
+            "names variable number 44, which does not exist",
+        ),
+        (description3().replace('<Dimension valueReference="3"/>', '<Dimension valueReference="77"/>'), SIZE),
+        (
+            description3().replace('valueReference="3" c', 'valueReference="3" unit="m" c').replace(' start="2"', ""),
+            NO_SIZE,
+        ),
+        (description3().replace('derivative="50"', 'derivative="98"'), '"der(x)" (line 21) is the derivative of'),
+        (
+            description3().replace('declaredType="Fails"', 'declaredType="Odd"'),
+            "has the type 'Odd', which is not defined",
+        ),
+        (description3().replace('start="0 0"', 'start="0 zero"'), ODD_NUMBER),
         (description2().replace('start="0"/>', 'start="nil"/>'), "'nil'"),
-        (description3().replace(' value="3"/>', ' value="three"/>'), "'three'"),
+        (description3().replace(' value="3"/>', ' value="three"/>'), '"fails" (line 11): invalid literal'),
     ],
     ids=[
         *("empty", "cut in the root", "cut at the end", "another document", "attribute missing", "unknown reference"),
+        *("unknown index", "unknown size", "no size", "derivative of nothing", "unknown type"),
         *("start of FMI 3.0", "start of FMI 2.0", "item of an enumeration"),
     ],
 )

@@ -14,7 +14,7 @@ from cosim.components.fmu.component import FmuComponent, Native
 from cosim.components.fmu.fmi2 import Fmi2Component
 from cosim.components.fmu.fmi3 import Fmi3Component
 from cosim.components.fmu.library import FOLDERS, LIBRARY_SUFFIX, PLATFORM, File, read
-from cosim.components.fmu.variables import fmi2_variables, fmi3_variables
+from cosim.components.fmu.variables import variables_of
 from cosim.errors import ComponentError
 from cosim.logs import Sink, discard
 
@@ -40,11 +40,11 @@ def describe(path: Path, structural: Mapping[str, int] | None = None) -> Descrip
     co_simulation = implementations.get(Interface.CO_SIMULATION)
     experiment = file.model.defaultExperiment
     try:
-        variables = fmi2_variables(file.model) if file.fmi == 2 else fmi3_variables(file.model, structural or {})
+        variables = variables_of(file.model, structural or {})
         internal_step = _positive(co_simulation and co_simulation.fixedInternalStepSize)
         usual_step = _positive(experiment and experiment.stepSize)
         tolerance = _positive(experiment and experiment.tolerance)
-    except (ValueError, TypeError, AttributeError) as error:
+    except ValueError as error:
         raise refuse(file.archive.path, f"has a broken modelDescription.xml: {error}") from error
     return Description(
         model=file.model.modelName,

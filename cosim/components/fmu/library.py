@@ -25,9 +25,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
-from xml.etree import ElementTree
 
 from cosim.components.component import Interface
+from cosim.components.fmu import model_xml
 from cosim.components.fmu.archive import Archive, inspect, refuse, unpack
 from cosim.components.fmu.binary import HEAD_BYTES, complete, unfit
 from cosim.errors import ComponentError
@@ -85,6 +85,9 @@ LOG_LINES = 100
 
 _LINE_BYTES = 10_000
 """How much of each."""
+
+_MOST_MISTAKES = 3
+"""How much is said of a description that cannot be read."""
 
 STATUS_NAMES = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 
@@ -178,21 +181,32 @@ def _read_model(path: Path) -> Any:
     try:
         with zipfile.ZipFile(path) as archive:
             xml = archive.read("modelDescription.xml")
-        _, root = next(ElementTree.iterparse(io.BytesIO(xml), ("start",)))  # noqa: S314 - expat limits entities itself
-    except (ElementTree.ParseError, zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, StopIteration) as error:
+        root = model_xml.parse(xml)
+    except (ValueError, zipfile.BadZipFile, zlib.error, EOFError, RuntimeError) as error:
         raise refuse(path, f"has a broken modelDescription.xml: {error}") from error
     version = root.get("fmiVersion")
     if root.tag != "fmiModelDescription" or version is None:
         raise refuse(path, "has a broken modelDescription.xml: it does not say which version of FMI it follows")
     if version != "2.0" and not version.startswith("3."):
         raise refuse(path, f"is an FMU of FMI {version}; export it for FMI 2.0 or 3.0")
-    alone = io.BytesIO()  # FMPy reads archives only, and would leave the file open when it fails
+    changed = copy.deepcopy(root)
+    alone = _alone(model_xml.serialised(changed) if model_xml.make_readable(changed) else xml)
+    try:
+        model = read_model_description(alone, validate=False)
+    except Exception as error:  # FMPy raises whatever the first missing attribute leads to
+        said = "; ".join(itertools.islice(model_xml.mistakes(root), _MOST_MISTAKES))
+        reason = said or _first_problem(alone) or f"{type(error).__name__}: {error}"
+        raise refuse(path, f"has a broken modelDescription.xml: {reason}") from error
+    model_xml.complete(model, root)
+    return model
+
+
+def _alone(xml: bytes) -> io.BytesIO:
+    """An archive of the description only: FMPy reads nothing else, and would leave a file open when it fails."""
+    alone = io.BytesIO()
     with zipfile.ZipFile(alone, "w") as archive:
         archive.writestr("modelDescription.xml", xml)
-    try:
-        return read_model_description(alone, validate=False)
-    except Exception as error:  # FMPy raises whatever the first missing attribute leads to
-        raise refuse(path, f"has a broken modelDescription.xml: {_first_problem(alone) or error}") from error
+    return alone
 
 
 def _first_problem(file: io.BytesIO) -> str:
@@ -245,13 +259,28 @@ def _validated(path: Path) -> list[str]:
         read_model_description(str(path), validate=True, validate_model_structure=True)
     except ValidationError as invalid:
         found += map(str, invalid.problems)
-    except Exception as error:  # FMPy raises whatever the first missing attribute leads to
-        found.append(str(error))
+    except Exception:  # FMPy raises whatever the first thing that it does not know leads to
+        found += _validated_again(path)
     model = read(path).model
     convention = model.variableNamingConvention or "flat"
     allowed = _STRUCTURED if convention == "structured" else _FLAT
     odd = [v for v in model.modelVariables if not allowed.fullmatch(v.name)]
     return found + [f'"{v.name}" (line {v.sourceline}) is not named by the convention "{convention}"' for v in odd]
+
+
+def _validated_again(path: Path) -> list[str]:
+    """The same for a description that FMPy can only read when it is changed."""
+    with zipfile.ZipFile(path) as archive:
+        root = model_xml.parse(archive.read("modelDescription.xml"))
+    found = model_xml.without_odd_display_units(root)
+    model_xml.make_readable(root)
+    try:
+        read_model_description(_alone(model_xml.serialised(root)), validate=True, validate_model_structure=True)
+    except ValidationError as invalid:
+        found += map(str, invalid.problems)
+    except Exception as error:
+        found.append(f"FMPy's validation does not get through it ({type(error).__name__}: {error})")
+    return found
 
 
 _WORD = r"(?:[A-Za-z_]\w*|'(?:[ -&(-\[\]-~]|\\.)+')(?:\[\d+(?:,\d+)*\])?"

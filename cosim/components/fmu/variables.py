@@ -18,11 +18,24 @@ from cosim.components.component import Value, Variable
 from cosim.components.units import BASE, Measure, measure
 
 _FMI2_TYPES = {"Real": "Float64", "Integer": "Int32"}
+_STORED_AS = {"Enumeration": "Integer"}
 _ELEMENT = re.compile(r"(?P<name>.+)\[(?P<indices>\d+(?:, ?\d+)*)\]")
 
 
-def fmi2_variables(model: Any) -> dict[str, Variable]:
-    """By name, in the file's order; an array takes the place of its first element."""
+def variables_of(model: Any, structural: Mapping[str, int]) -> dict[str, Variable]:
+    """By name, in the file's order; the arrays of FMI 2.0 gathered, each in the place of its first element.
+
+    Args:
+        model: FMPy's `ModelDescription`.
+        structural: values of FMI 3.0's structural parameters; others keep their start values.
+
+    Raises:
+        ValueError: the description of a variable makes no sense.
+    """
+    return _fmi2_variables(model) if model.fmiMajorVersion == 2 else _fmi3_variables(model, structural)
+
+
+def _fmi2_variables(model: Any) -> dict[str, Variable]:
     context = _Context(_dependencies(model), _units(model))
     scalars = [
         _variable(v, _FMI2_TYPES.get(v.type, v.type), (), (v.valueReference,), context) for v in model.modelVariables
@@ -30,8 +43,7 @@ def fmi2_variables(model: Any) -> dict[str, Variable]:
     return _rename_dependencies(*_gather(scalars))
 
 
-def fmi3_variables(model: Any, structural: Mapping[str, int]) -> dict[str, Variable]:
-    """By name, in the file's order; see `fmi3_shape` for `structural`."""
+def _fmi3_variables(model: Any, structural: Mapping[str, int]) -> dict[str, Variable]:
     context = _Context(_dependencies(model), _units(model))
     return {
         v.name: _variable(v, v.type, fmi3_shape(v, structural), (v.valueReference,), context)
@@ -51,7 +63,7 @@ def fmi3_shape(variable: Any, structural: Mapping[str, int]) -> tuple[int, ...]:
 class _Context:
     """What other parts of the model description say of its variables."""
 
-    dependencies: Mapping[str, tuple[str, ...] | None]
+    dependencies: Mapping[tuple[str, int], tuple[str, ...]]
     units: Mapping[str, Measure]
 
 
@@ -62,6 +74,18 @@ def _variable(
     references: tuple[int, ...],
     context: _Context,
 ) -> Variable:
+    """A variable.
+
+    Raises:
+        ValueError: its description makes no sense; names it.
+    """
+    try:
+        return _read(v, dtype, shape, references, context)
+    except (ValueError, TypeError, AttributeError) as error:
+        raise ValueError(f'"{v.name}" (line {v.sourceline}): {error}') from error
+
+
+def _read(v: Any, dtype: str, shape: tuple[int, ...], references: tuple[int, ...], context: _Context) -> Variable:
     declared = v.declaredType
     unit = v.unit or (declared.unit if declared else None)
     relative = v.relativeQuantity or (declared is not None and v.relativeQuantity is None and declared.relativeQuantity)
@@ -76,7 +100,7 @@ def _variable(
         start=_start(v.start, dtype, int(np.prod(shape, dtype=np.int64))),
         description=v.description or "",
         items={item.name: int(item.value) for item in declared.items} if declared and dtype == "Enumeration" else {},
-        dependencies=context.dependencies.get(v.name) if v.causality in ("output", "local") else None,
+        dependencies=context.dependencies.get(_value_of(v)) if v.causality in ("output", "local") else None,
         initial=v.initial or "",
         measure=_measured(unit, context.units, relative=bool(relative)),
         derivative_of=v.derivative.name if v.derivative is not None else None,
@@ -95,18 +119,20 @@ def _units(model: Any) -> dict[str, Measure]:
 
 
 def _measured(unit: str | None, units: Mapping[str, Measure], *, relative: bool) -> Measure | None:
-    """As the model description defines the unit, else as it is written; of a difference, the offset does not count."""
+    """As the model description defines the unit, else as it is written."""
     found = units.get(unit or "") or measure(unit)
-    return replace(found, offset=0.0) if found and relative else found
+    return replace(found, relative=True) if found and relative else found
 
 
-def _start(text: str | None, dtype: str, size: int) -> tuple[Value, ...] | None:
+def _start(written: str | list[str] | None, dtype: str, size: int) -> tuple[Value, ...] | None:
     """Declared start values, flat. Of an array that was resized they are known only if all are equal."""
-    if text is None or dtype == "Clock":
+    if written is None or dtype == "Clock":
         return None
+    values: list[Value]
     if dtype in ("String", "Binary"):
-        return (text,) * size
-    values = [_number(word, dtype) for word in text.split()]
+        values = [written] if isinstance(written, str) else [*written]
+    else:
+        values = [_number(word, dtype) for word in str(written).split()]
     if len(values) == size:
         return tuple(values)
     return tuple(values[:1]) * size if len(set(values)) == 1 else None
@@ -118,18 +144,24 @@ def _number(text: str, dtype: str) -> Value:
     return float(text) if dtype.startswith("Float") else int(text)
 
 
-def _dependencies(model: Any) -> dict[str, tuple[str, ...] | None]:
-    """Per output of the model structure, the inputs among its dependencies, None where the file does not say; a state
-    depends on none.
+def _dependencies(model: Any) -> dict[tuple[str, int], tuple[str, ...]]:
+    """Per output of the model structure, the inputs among its dependencies, where the file says so; a state depends on
+    none. By what variables of one value have in common: aliases depend on the same.
     """
+    inputs = {_value_of(v): v.name for v in reversed(model.modelVariables) if v.causality == "input"}
     derivatives = (unknown.variable.derivative for unknown in model.derivatives)
-    states = {state.name: () for state in derivatives if state is not None}
-    return states | {
-        unknown.variable.name: None
-        if unknown.dependencies is None
-        else tuple(known.name for known in unknown.dependencies if known.causality == "input")
-        for unknown in model.outputs
-    }
+    found: dict[tuple[str, int], tuple[str, ...]] = {_value_of(state): () for state in derivatives if state is not None}
+    for unknown in model.outputs:
+        if unknown.dependencies is not None:
+            key = _value_of(unknown.variable)
+            names = [inputs[_value_of(known)] for known in unknown.dependencies if _value_of(known) in inputs]
+            found[key] = tuple(dict.fromkeys([*found.get(key, ()), *names]))
+    return found
+
+
+def _value_of(v: Any) -> tuple[str, int]:
+    """The value that a variable stands for; in FMI 2.0, each type numbers its own."""
+    return _STORED_AS.get(v.type, v.type), v.valueReference
 
 
 # --- the arrays of FMI 2.0 ------------------------------------------------------------------------------------------
