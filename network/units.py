@@ -6,6 +6,7 @@ message, the JSON schema and (in JSON mode) the way back to what users write at 
 
 from __future__ import annotations
 
+import math
 import re
 from decimal import Decimal, InvalidOperation
 from typing import Annotated, Any
@@ -25,6 +26,16 @@ _LONGEST = 100 * 365 * 24 * 3600 * NANOSECONDS_PER_SECOND  # the sum of two such
 def to_seconds(nanoseconds: int) -> float:
     """Seconds as the nearest float: the one conversion used at the FMU boundary and in what people read."""
     return nanoseconds / NANOSECONDS_PER_SECOND
+
+
+def first_nanosecond(seconds: float) -> int:
+    """The first whole nanosecond that, in seconds, is not before a time: one of rounding could be, and what waits for
+    that time would not see it come.
+    """
+    nanoseconds = math.floor(seconds * NANOSECONDS_PER_SECOND) - 2
+    while to_seconds(nanoseconds) < seconds:
+        nanoseconds += 1
+    return nanoseconds
 
 
 def parse_duration(value: Any) -> int:

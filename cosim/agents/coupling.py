@@ -49,7 +49,7 @@ from cosim.agents.wiring import AlgebraicLoop, Wiring, takes_in_event_mode
 from cosim.components.component import Component, Floats
 from cosim.errors import ComponentError
 from cosim.plan import CouplingPlan, Integrator, Method
-from network.units import NANOSECONDS_PER_SECOND, to_seconds
+from network.units import first_nanosecond, to_seconds
 
 _SET = Direction.SET
 EVENT_ITERATIONS = 100
@@ -213,7 +213,7 @@ class PythonLoop:
             return
         events, since_ns = 0, start_ns
         while start_ns < end_ns:
-            known_ns = self._next_stop(start_ns, end_ns)
+            known_ns = self._next_stop(to_seconds(start_ns), end_ns)
             cautious_ns = int(self._state.steps[0].item())
             stop_ns = min(known_ns, start_ns + cautious_ns) if cautious_ns else known_ns
             self._located = False
@@ -231,14 +231,12 @@ class PythonLoop:
                 self._event(reached_ns, listen=False)
             start_ns = reached_ns
 
-    def _next_stop(self, start_ns: int, end_ns: int) -> int:
-        """The first time event of a component between the two times, or the second of them."""
+    def _next_stop(self, start: float, end_ns: int) -> int:
+        """The first time event of a component after a time in seconds, when it is due, or the end."""
         stop_ns = end_ns
         for event in self._state.next_event.tolist():
-            if to_seconds(start_ns) < event < to_seconds(end_ns):
-                event_ns = math.floor(event * NANOSECONDS_PER_SECOND + 0.5)
-                if start_ns < event_ns < stop_ns:
-                    stop_ns = event_ns
+            if start < event < to_seconds(stop_ns):
+                stop_ns = first_nanosecond(event)
         return stop_ns
 
     def _integrate_states(self, start_ns: int, stop_ns: int) -> int:

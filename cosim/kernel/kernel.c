@@ -25,15 +25,19 @@ int64_t micro_steps(const Agent *agent, int64_t start_ns, int64_t end_ns, double
     return n;
 }
 
-/* The first time event of a component between the two times, or the second of them. */
-static int64_t next_stop(const Agent *agent, int64_t start_ns, int64_t end_ns) {
+/* The first whole nanosecond that, in seconds, is not before a time (network/units.py). */
+static int64_t first_nanosecond(double seconds) {
+    int64_t nanoseconds = (int64_t)floor(seconds * NANOSECONDS_PER_SECOND) - 2;
+    while (to_seconds(nanoseconds) < seconds) nanoseconds++;
+    return nanoseconds;
+}
+
+/* The first time event of a component after a time in seconds, when it is due, or the end. */
+static int64_t next_stop(const Agent *agent, double start, int64_t end_ns) {
     int64_t stop_ns = end_ns;
     for (int c = 0; c < agent->n_components; c++) {
         double event = agent->next_event[c];
-        if (to_seconds(start_ns) < event && event < to_seconds(end_ns)) {
-            int64_t event_ns = (int64_t)floor(event * NANOSECONDS_PER_SECOND + 0.5);
-            if (start_ns < event_ns && event_ns < stop_ns) stop_ns = event_ns;
-        }
+        if (start < event && event < to_seconds(stop_ns)) stop_ns = first_nanosecond(event);
     }
     return stop_ns;
 }
@@ -42,7 +46,7 @@ static bool integrate_joint(Agent *agent, int64_t start_ns, int64_t end_ns) {
     int events = 0;
     int64_t since_ns = start_ns;
     while (start_ns < end_ns) {
-        int64_t known_ns = next_stop(agent, start_ns, end_ns), stop_ns = known_ns, reached_ns;
+        int64_t known_ns = next_stop(agent, to_seconds(start_ns), end_ns), stop_ns = known_ns, reached_ns;
         int64_t cautious_ns = (int64_t)agent->steps[0];
         if (cautious_ns && start_ns + cautious_ns < stop_ns) stop_ns = start_ns + cautious_ns;
         int32_t component = -1;

@@ -12,9 +12,11 @@ from network.units import (
     DurationRange,
     PositiveDuration,
     Probability,
+    first_nanosecond,
     format_duration,
     parse_duration,
     parse_probability,
+    to_seconds,
 )
 
 
@@ -116,3 +118,9 @@ def test_json_mode_gives_what_reads_back_alike() -> None:
     assert Quantities.model_validate(dumped) == quantities
     fixed = Quantities.model_validate({"delay": "20 ms"}).model_dump(mode="json")
     assert fixed["delay"] == "20 ms"
+
+
+@given(st.floats(0.0, 8e6))
+def test_the_first_nanosecond_that_is_not_before_a_time(seconds: float) -> None:
+    nanoseconds = first_nanosecond(seconds)
+    assert to_seconds(nanoseconds - 1) < seconds <= to_seconds(nanoseconds)
