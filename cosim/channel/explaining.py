@@ -7,10 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from cosim import documents
+from cosim.documents import ANCHOR, cells, plain
 from cosim.errors import ConfigError, Problem, suggest
-
-_ANCHOR = re.compile(r'<a id="([^"]+)"></a>')
-_PAGE = "channels.md"
 
 
 @dataclass(frozen=True)
@@ -29,9 +28,8 @@ class Entry:
 
 
 def page() -> Path:
-    """The page: in the package once installed, in the source tree before."""
-    here = Path(__file__).parents[1] / "docs" / _PAGE
-    return here if here.is_file() else here.parents[2] / "docs" / _PAGE
+    """The page."""
+    return documents.page("channels.md")
 
 
 def entries() -> dict[str, Entry]:
@@ -39,7 +37,7 @@ def entries() -> dict[str, Entry]:
     lines = page().read_text(encoding="utf-8").splitlines()
     found = {}
     for number, line in enumerate(lines):
-        for term in _ANCHOR.findall(line):
+        for term in ANCHOR.findall(line):
             text = _row(term, lines, number) if line.startswith("|") else _section(lines, number + 1)
             found[term] = Entry(term, number + 1, text)
     return found
@@ -66,14 +64,10 @@ def explain(term: str) -> Iterator[Entry]:
 def _row(term: str, lines: list[str], number: int) -> str:
     """A row of a table: what it means, then the other cells under their heads."""
     head = next(i for i in range(number, -1, -1) if not lines[i].startswith("|")) + 1
-    heads, cells = _cells(lines[head]), _cells(lines[number])
+    heads, row = cells(lines[head]), cells(lines[number])
     width = max(map(len, heads))
-    others = [f"  {name:{width}}  {cell}" for name, cell in zip(heads[1:-1], cells[1:-1], strict=True)]
-    return "\n".join((f"{term}: {cells[-1]}", *others))
-
-
-def _cells(line: str) -> list[str]:
-    return [_plain(cell.strip()) for cell in line.strip().strip("|").split("|")]
+    others = [f"  {name:{width}}  {cell}" for name, cell in zip(heads[1:-1], row[1:-1], strict=True)]
+    return "\n".join((f"{term}: {row[-1]}", *others))
 
 
 def _section(lines: list[str], begin: int) -> str:
@@ -84,11 +78,6 @@ def _section(lines: list[str], begin: int) -> str:
         len(lines),
     )
     body = lines[begin:end]
-    while body and (not body[-1].strip() or _ANCHOR.fullmatch(body[-1].strip())):
+    while body and (not body[-1].strip() or ANCHOR.fullmatch(body[-1].strip())):
         body.pop()
-    return "\n".join(_plain(line) for line in body)
-
-
-def _plain(text: str) -> str:
-    """Without anchors, links and marks that only a browser needs."""
-    return re.sub(r"\[([^\]]+)\]\(#?[^)]*\)", r"\1", _ANCHOR.sub("", text)).replace("\\*", "*")
+    return "\n".join(plain(line) for line in body)

@@ -1,6 +1,6 @@
 """What a report says of the network: what each controller got, how old and how often, and whether assumptions held.
 
-The measures are defined in docs/freshness.md.
+The measures are defined in docs/freshness.md, whose table is in every page.
 """
 
 from __future__ import annotations

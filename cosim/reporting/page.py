@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from cosim import documents
 from cosim.recording.atomic import write_atomically
 from cosim.recording.manifest import folder_problem
 
@@ -115,4 +116,5 @@ def _render(template: str, facts: dict[str, Any]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.globals["measures"] = documents.measures
     return environment.get_template(template).render(facts)

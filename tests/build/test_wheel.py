@@ -67,7 +67,7 @@ def test_wheel(tree: Path) -> None:
     assert built_files() <= set(names)
     shipped = {"paper_leaders.yaml", "channels/wifi_busy.yaml", "traces/synthetic_cellular.trace"}
     assert {f"cosim/configs/{name}" for name in shipped} <= set(names)
-    assert "cosim/docs/channels.md" in names
+    assert {"cosim/docs/channels.md", "cosim/docs/freshness.md"} <= set(names)
     assert "Root-Is-Purelib: false" in metadata
     assert any(name.endswith("licenses/fmus/include/LICENSE-FMI.txt") for name in names)
 

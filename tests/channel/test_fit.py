@@ -150,6 +150,8 @@ def test_a_log_becomes_the_profile_that_made_it(
     page = (folder / "fit.html").read_text()
     assert page.count("<svg") == 3
     assert "gemodel p r 1-h 1-k" in page
+    assert "docs/" not in page
+    assert "Walsh, Ye, Bushnell 2002" in page
     assert cli.main(["channel", str(folder / "pings.yaml"), "--ticks", "100", "--no-report"]) == 0
 
 

@@ -90,6 +90,8 @@ def test_page_and_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert names == {"timeline", "age", "delays", "losses", "front", "heat"}
     text = page.read_text()
     assert text.count("<svg") == 6
+    assert "docs/" not in text  # whoever is sent the page has none: it explains its measures itself
+    assert "Walsh, Ye, Bushnell 2002" in text
     assert "gemodel: {p: 0.02, r: 0.2}" in text
     assert "Not drawn" not in text
     assert "<script" not in text

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim.documents import measures
 from cosim.errors import ConfigError
 from cosim.plan import AnalysisPlan
 from cosim.reporting import findings, network, report
@@ -112,6 +113,15 @@ def test_page_says_what_ran(drawn: Path) -> None:
     for expected in (results.manifest["digest"], results.manifest["title"], "complete", "15 s", "holds", "1.3 s"):
         assert expected in text
     assert not re.search(r"\bnan\b|\binf\b|\bNone\b", text, re.IGNORECASE)
+
+
+def test_page_explains_its_measures_by_itself(drawn: Path) -> None:
+    """Whoever is sent it has no docs."""
+    text = Page((drawn / "report.html").read_text()).text
+    assert "docs/" not in text
+    assert {"MATI", "h* assumed", "Jointly rooted"} <= {name for name, _, _ in measures()}
+    for row in measures():
+        assert all(cell in text for cell in row)
 
 
 def test_drawing_again_gives_the_same_files(tmp_path: Path) -> None:
