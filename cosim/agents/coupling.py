@@ -12,9 +12,10 @@ step. Over a micro step from t to t + h:
 - `jacobi`: every component steps with the others' outputs at t held.
 - `gauss-seidel`: in the file's order; a component sees the newest outputs, held.
 - `midpoint`: in the file's order. Outputs of components that step later are extrapolated to the middle of the step from
-  their last two values. A component that reads components that have stepped already makes two half steps, the first
-  with their outputs at t, the second with those at t + h: their mean is right to second order, and its own outputs at
-  t + h see the inputs at t + h, so that direct feedthrough costs no order. It needs no optional FMI capability.
+  their last two values (`cosim.agents.extrapolation`); those that are not continuous are held. A component that reads
+  components that have stepped already makes two half steps, the first with their outputs at t, the second with those at
+  t + h: their mean is right to second order, and its own outputs at t + h see the inputs at t + h, so that direct
+  feedthrough costs no order. It needs no optional FMI capability.
 
 With a tolerance, `cosim.agents.step_control` chooses how long the steps of the last three are.
 
@@ -41,6 +42,7 @@ from cosim.agents.crossings import (
     first_crossing,
     less_cautious,
 )
+from cosim.agents.extrapolation import middle_weight
 from cosim.agents.mailbox import Updates
 from cosim.agents.memory import LoopState
 from cosim.agents.step_control import StepControl
@@ -459,9 +461,8 @@ class PythonLoop:
         state, owner = self._state, self._wiring.owner
         signals = state.signals
         before = signals.copy()
-        previous_step = state.steps[0].item()
-        ratio = 0.5 * h / previous_step if previous_step > 0.0 else 0.0
-        middle = before + ratio * (before - state.previous)
+        weight = middle_weight(h, state.steps[0].item())
+        middle = np.where(self._wiring.continuous, before + weight * (before - state.previous), before)
         half = 0.5 * h
         for c in range(len(self._components)):
             earlier = (owner >= 0) & (owner < c)

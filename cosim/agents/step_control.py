@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from cosim.agents.extrapolation import LONGER, middle_weight
 from cosim.agents.memory import LoopState
 from cosim.agents.wiring import Wiring
 from cosim.components.component import Component, Floats
@@ -111,10 +112,11 @@ class StepControl:
         self._least_ns = min(control.least_ns, coupling.step_ns)
         self._midpoint = coupling.method is Method.MIDPOINT
         self._order = 2 if self._midpoint else 1
+        self._growth = LONGER if self._midpoint else _GROWTH
         self._names, late = _connected(wiring, components, jacobi=coupling.method is Method.JACOBI)
         watched = sorted(self._names.keys() - late) or sorted(self._names)
         self._connected = np.array(watched, dtype=np.intp)
-        self._owner = wiring.owner
+        self._owner, self._continuous = wiring.owner, wiring.continuous
         self._coarse = np.empty(0), 0.0  # signals at the start of the last whole step, and its length
         self._let_pass = 0
         self._steps = self._rejected = 0
@@ -182,7 +184,7 @@ class StepControl:
                 saved.restore()
                 self._propose(length_ns * min(_AFTER_REJECTION, self._factor(ratio)))
         self._coarse = saved.signals, to_seconds(length_ns)
-        growth = 1.0 if rejected else _GROWTH
+        growth = 1.0 if rejected else self._growth
         self._accept(start_ns + length_ns, length_ns, ratio, worst, errors, growth)
         return length_ns
 
@@ -209,9 +211,10 @@ class StepControl:
         """A step after which the inputs are compared with what they should have been; its length."""
         length_ns, state = self._length(end_ns - start_ns), self._state
         length, before = to_seconds(length_ns), state.signals.copy()
-        given, previous_step = before, state.steps[0].item()
-        if self._midpoint and previous_step > 0.0:
-            given = before + length / previous_step * (before - state.previous)
+        given = before
+        if self._midpoint:
+            weight = 2.0 * middle_weight(length, state.steps[0].item())
+            given = np.where(self._continuous, before + weight * (before - state.previous), before)
         step(to_seconds(start_ns), length)
         change = np.abs(state.signals[self._connected] - given[self._connected])
         errors = 0.5 * change * (length_ns / self._control.period_ns)

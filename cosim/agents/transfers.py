@@ -120,11 +120,12 @@ class Places:
     """Where values lie in the signals, and what must be read to fill them.
 
     Attributes:
-        owner: see `Wiring`.
+        owner, continuous: see `Wiring`.
     """
 
     def __init__(self) -> None:
         self.owner: list[int] = []
+        self.continuous: list[bool] = []
         self._of: dict[Key, Positions] = {}
         self._moves: dict[Key, list[_Move]] = {}
 
@@ -133,23 +134,27 @@ class Places:
         """How many signals there are so far."""
         return len(self.owner)
 
-    def skip(self, size: int, owner: int = -1) -> Positions:
-        """The next places."""
+    def skip(self, size: int) -> Positions:
+        """The next places, of what is no output."""
+        return self._take(size, -1, continuous=False)
+
+    def _take(self, size: int, owner: int, *, continuous: bool) -> Positions:
         first = self.n
         self.owner += [owner] * size
+        self.continuous += [continuous] * size
         return np.arange(first, first + size, dtype=np.int32)
 
     def add_output(self, port: Port) -> None:
         """Places for what is read; of a mapped variable, for all numbers of the own variables that it stands for."""
         key, variable = key_of(port), port.variable
         if variable.elements is None:
-            self._of[key] = self.skip(variable.size, port.component)
+            self._of[key] = self._take(variable.size, port.component, continuous=variable.is_continuous)
             self._moves[key] = [_Move(variable, self._of[key])]
             return
         positions = np.empty(variable.size, dtype=np.int32)
         self._moves[key] = []
         for piece in pieces(read_back(variable)):
-            places = self.skip(piece.own.size, port.component)
+            places = self._take(piece.own.size, port.component, continuous=piece.own.is_continuous)
             wanted = piece.places >= 0
             positions[piece.places[wanted]] = places[wanted]
             self._moves[key].append(_Move(piece.own, places, piece.scales))

@@ -80,6 +80,7 @@ class Wiring:
     Attributes:
         n_signals: length of the signal vector.
         owner: (n_signals,) component whose output a signal is; -1 for the mailbox and what comes from outside.
+        continuous: (n_signals,) whether a signal is an output that changes continuously: others are never extrapolated.
         mailbox: its place.
         external: of each value from outside, its place.
         held: GET of arrays of which only some elements are fed: the others keep what they have at the start.
@@ -97,6 +98,7 @@ class Wiring:
 
     n_signals: int
     owner: Positions
+    continuous: NDArray[np.bool_]
     mailbox: MailboxLayout
     external: tuple[Positions, ...]
     held: tuple[Transfer, ...]
@@ -149,6 +151,7 @@ def wire(plan: AgentPlan, layout: MessageLayout) -> Wiring:
     return Wiring(
         n_signals=places.n,
         owner=np.array(places.owner, dtype=np.int32),
+        continuous=np.array(places.continuous, dtype=np.bool_),
         mailbox=mailbox,
         external=tuple(external),
         held=inputs.held,

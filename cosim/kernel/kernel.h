@@ -20,6 +20,7 @@
 #define STATE_EVENTS_PER_STEP 100     /* as in cosim/agents/crossings.py */
 #define FIRST_PART 4096               /* likewise */
 #define GROWTH 4                      /* likewise */
+#define LONGER 2.0                    /* as in cosim/agents/extrapolation.py */
 #define STAGES 7                      /* of the Dormand-Prince pair; Runge-Kutta 4 needs four */
 
 typedef enum { RK4, DORMAND_PRINCE, EULER } Integrator;
@@ -150,6 +151,7 @@ typedef struct {
     Transfers listen;
     Transfers sample;
     const int32_t *owner; /* n_signals: the component whose output it is, -1 for the mailbox */
+    const bool *continuous; /* n_signals: it is an output that changes continuously */
     const int32_t *mailbox_values; /* one row of `width` positions per in-neighbour */
     const int32_t *mailbox_stamp;
     const int32_t *mailbox_time;

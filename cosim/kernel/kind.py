@@ -67,6 +67,7 @@ class Kind:
             relative_tolerance=coupling.relative_tolerance,
             absolute_tolerance=coupling.absolute_tolerance,
             owner=self._keep(wiring.owner),
+            continuous=self._keep(wiring.continuous),
             mailbox_values=self._keep(wiring.mailbox.values),
             mailbox_stamp=self._keep(wiring.mailbox.stamp),
             mailbox_time=self._keep(wiring.mailbox.time),

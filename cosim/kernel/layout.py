@@ -133,7 +133,7 @@ class Agent(ctypes.Structure):
         *((name, c_int32) for name in ("n_components", "n_states", "n_signals", "n_indicators", "width", "grid")),
         *((name, c_void_p) for name in ("components", "transfers", "outputs", "inputs")),
         *((name, Transfers) for name in ("propagate", "follow", "listen", "sample")),
-        *((name, c_void_p) for name in ("owner", "mailbox_values", "mailbox_stamp", "mailbox_time")),
+        *((name, c_void_p) for name in ("owner", "continuous", "mailbox_values", "mailbox_stamp", "mailbox_time")),
         ("method", c_int32),
         ("integrator", c_int32),
         ("step_ns", c_int64),

@@ -66,13 +66,21 @@ static bool midpoint_component(Agent *agent, int c, double t, double h) {
            set_mixed_inputs(agent, c, agent->signals) && do_step(agent, c, t + half, half, 1);
 }
 
+/* The weight of an output's last change at the middle of a step: cosim/agents/extrapolation.py says why. */
+static double middle_weight(double step, double previous_step) {
+    if (previous_step <= 0.0) return 0.0;
+    double ratio = step / previous_step;
+    return ratio <= LONGER ? 0.5 * ratio : LONGER / ratio;
+}
+
 static bool midpoint(Agent *agent, double t, double h) {
     size_t bytes = (size_t)agent->n_signals * sizeof(double);
-    double previous_step = agent->steps[0];
-    double ratio = previous_step > 0.0 ? 0.5 * h / previous_step : 0.0;
+    double weight = middle_weight(h, agent->steps[0]);
     if (bytes > 0) memcpy(agent->before, agent->signals, bytes);
     for (int32_t i = 0; i < agent->n_signals; i++)
-        agent->middle[i] = agent->before[i] + ratio * (agent->before[i] - agent->previous[i]);
+        agent->middle[i] = agent->continuous[i]
+                               ? agent->before[i] + weight * (agent->before[i] - agent->previous[i])
+                               : agent->before[i];
     for (int c = 0; c < agent->n_components; c++)
         if (!midpoint_component(agent, c, t, h) || !carry_out(agent, agent->outputs[c], agent->signals)) return false;
     if (bytes > 0) memcpy(agent->previous, agent->before, bytes);
