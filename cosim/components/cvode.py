@@ -1,7 +1,8 @@
 """A Model Exchange component as one of Co-Simulation: CVODE of SUNDIALS integrates it between communication points.
 
 Variable order and step (BDF), for stiff models; Hindmarsh et al., "SUNDIALS", ACM Transactions on Mathematical Software
-31 (2005). Events are handled on the way: time events and step events, and state events where CVODE finds a root.
+31 (2005). Events are handled on the way: time events and step events, and state events where CVODE finds a root or an
+event indicator has another sign than before, which inputs that jump at a communication point can cause as well.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ class CvodeComponent(Component):
         self._tolerance = tolerance
         self._solver: Any = None
         self._next_event = math.inf
+        self._indicators = np.empty(0)  # as they were when the last event, or step towards the next one, was over
         self._disturbed = True  # inputs or states have jumped: what CVODE remembers is void
         self._error: ComponentError | None = None
 
@@ -96,23 +98,40 @@ class CvodeComponent(Component):
 
     def enter_step_mode(self) -> None:
         self._model.enter_continuous_time_mode()
+        self._indicators = self._get_indicators()
         self._disturbed = True
 
     # --- steps ------------------------------------------------------------------------------------------------------
     def step(self, time: float, step: float) -> None:
         end, events = time + step, 0
+        event = self._has_crossed()
         while time < end:
-            stop = self._next_event if time < self._next_event < end else end
-            time, event = self._advance(time, stop)
+            if not (event or time >= self._next_event):
+                time, event = self._advance(time, min(self._next_event, end))
+                event |= self._has_crossed()
             if event or time >= self._next_event:
-                self.enter_event_mode()
-                self.update_discrete_states()
-                self.enter_step_mode()
-                events += 1
+                self._handle_event(time)
+                event, events = False, events + 1
                 if events > EVENTS_PER_STEP:
                     raise ComponentError(
                         self.name, f"had more than {EVENTS_PER_STEP} events within one step: it chatters"
                     )
+
+    def _handle_event(self, time: float) -> None:
+        self._model.set_time(time)  # by rounding, a step may begin later than the one before has ended
+        self.enter_event_mode()
+        self.update_discrete_states()
+        if self._next_event <= time:  # it was this one
+            self._next_event = math.inf
+        self.enter_step_mode()
+
+    def _has_crossed(self) -> bool:
+        """Whether an event indicator has changed its sign since this was asked, or an event was over."""
+        before, self._indicators = self._indicators, self._get_indicators()
+        return bool(np.any((before > 0.0) != (self._indicators > 0.0)))
+
+    def _get_indicators(self) -> Floats:
+        return self._model.event_indicators() if self._model.n_indicators else np.empty(0)
 
     def _advance(self, time: float, stop: float) -> tuple[float, bool]:
         """Up to a time, or the first root of an event indicator; where it is, and whether it wants an event."""

@@ -185,7 +185,7 @@ static double rate(const Probe *p) {
     if (mode(p) == STATE_GROWS) return p->slots[STATE] * p->slots[STATE] * p->slots[STATE];
     if (mode(p) == DERIVATIVE_NAN) return p->slots[TIME] > 0.05 ? NAN : 0.0;
     if (mode(p) == DERIVATIVE_JUMPS) return p->slots[TIME] > 0.05 ? 1e30 : 0.0;
-    if (mode(p) == TICKS) return p->slots[INT32_IN];
+    if (mode(p) == TICKS) return p->slots[INT32_IN] + p->vector[0] * p->slots[COUNT];
     if (mode(p) == ARMS) return p->slots[COUNT] == 2.0 ? 0.0 : 10.0;
     if (mode(p) == RELAYS) return p->slots[COUNT];
     if (mode(p) == CHATTERS) return p->falling ? -10.0 : 10.0;

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,21 @@ import numpy as np
 import pytest
 import yaml
 
+from cosim.components.python import Output, PythonComponent
 from cosim.errors import ConfigError, RunError
 from cosim.plan import Loop, Method, Plan
 from cosim.running import inline
 from tests.components.probe import description2, description3, with_indicator, write_fmu
 from tests.distributed.networks import planned
+
+
+class Ramp(PythonComponent):
+    """y = (t, 0)."""
+
+    y = Output(shape=(2,))
+
+    def outputs(self, time: float) -> None:
+        self.y = time, 0.0
 
 
 class Record:
@@ -66,6 +77,31 @@ def test_events_on_the_way(indicated: dict[int, Path], fmi: int) -> None:
     assert plan.agents[0].coupling.method is Method.MIDPOINT
     x = play(plan)[:, 0]
     assert np.abs(x - (1.0 + 13.7 * 0.1 * np.arange(11) % 1.0)).max() < 1e-6
+
+
+@pytest.mark.parametrize("method", ["midpoint", "gauss-seidel", "jacobi"])
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_state_event_that_an_input_causes(
+    indicated: dict[int, Path], fmi: int, method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The indicator is u - 0.5, u = t, and x' = 1 from there on: x(1 s) = 1.5, but for a step that u is held."""
+    monkeypatch.setitem(sys.modules, "cvode_ramp", sys.modules[Ramp.__module__])
+    components = {"ramp": {"python": "cvode_ramp:Ramp"}, "relay": probe(indicated[fmi], "relays", 10.0)}
+    for step in (10, 1):
+        coupling = {"method": method, "step": f"{step} ms"}
+        plan = scenario(components, ["relay.x"], connections=["ramp.y -> relay.vector_in"], coupling=coupling)
+        assert abs(play(plan)[-1, 0] - 1.5) < 1.001e-3 * step
+
+
+@pytest.mark.parametrize("interval", [0.007, 0.01, 1 / 60])
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_time_events_at_the_ends_of_micro_steps(probes: dict[int, Path], fmi: int, interval: float) -> None:
+    """x' counts the multiples of the interval: an event that is a step late would show in x."""
+    own = probe(probes[fmi], "ticks", tolerance=1e-10)
+    own["start"]["vector_in"] = [1.0, interval]
+    x = play(scenario({"own": own}, ["own.x"], coupling={"step": "1 ms"}))[-1, 0]
+    events = interval * np.arange(1, 200)
+    assert x == pytest.approx(1.0 + np.maximum(1.0 - events, 0.0).sum(), rel=1e-9)
 
 
 def test_a_stiff_arm_beside_its_controller() -> None:
