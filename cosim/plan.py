@@ -79,6 +79,7 @@ class CouplingPlan:
         retries: how often a step that a component discards is tried again in halves.
         parts: per component, how many steps of its own it makes in a micro step; empty where each makes one.
         control: what the steps of a Co-Simulation coupling keep to; None where they are fixed.
+        refinement: how many micro steps are made in the place of each, to see what that changes; not on a grid.
     """
 
     method: Method
@@ -91,6 +92,7 @@ class CouplingPlan:
     retries: int = 0
     parts: tuple[int, ...] = ()
     control: ControlPlan | None = None
+    refinement: int = 1
 
     @property
     def order(self) -> int | None:

@@ -256,7 +256,7 @@ class PythonLoop:
 
     def _micro_steps(self, start_ns: int, end_ns: int) -> tuple[int, float]:
         """How many equal micro steps, and their length in seconds."""
-        n = -((start_ns - end_ns) // self._coupling.step_ns)
+        n = -((start_ns - end_ns) // self._coupling.step_ns) * self._coupling.refinement
         return n, to_seconds(self._coupling.step_ns) if self._coupling.grid else to_seconds(end_ns - start_ns) / n
 
     # --- joint ------------------------------------------------------------------------------------------------------

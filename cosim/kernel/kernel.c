@@ -20,7 +20,7 @@ bool fail(Agent *agent, Failure failure) {
 }
 
 int64_t micro_steps(const Agent *agent, int64_t start_ns, int64_t end_ns, double *length) {
-    int64_t n = (end_ns - start_ns + agent->step_ns - 1) / agent->step_ns;
+    int64_t n = (end_ns - start_ns + agent->step_ns - 1) / agent->step_ns * agent->refinement;
     *length = agent->grid ? to_seconds(agent->step_ns) : to_seconds(end_ns - start_ns) / (double)n;
     return n;
 }

@@ -160,6 +160,7 @@ typedef struct {
     int32_t method;
     int32_t integrator;
     int64_t step_ns;
+    int64_t refinement; /* micro steps made in the place of each */
     double relative_tolerance;
     double absolute_tolerance;
 

@@ -64,6 +64,7 @@ class Kind:
             method=layout.METHODS.index(coupling.method),
             integrator=layout.INTEGRATORS.index(coupling.integrator),
             step_ns=coupling.step_ns,
+            refinement=coupling.refinement,
             relative_tolerance=coupling.relative_tolerance,
             absolute_tolerance=coupling.absolute_tolerance,
             owner=self._keep(wiring.owner),

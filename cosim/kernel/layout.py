@@ -137,6 +137,7 @@ class Agent(ctypes.Structure):
         ("method", c_int32),
         ("integrator", c_int32),
         ("step_ns", c_int64),
+        ("refinement", c_int64),
         ("relative_tolerance", c_double),
         ("absolute_tolerance", c_double),
         *((name, c_void_p) for name in ("signals", "previous", "steps", "next_event", "time")),

@@ -1,4 +1,7 @@
-"""How large the coupling error is: the scenario is played with half the micro steps first, and compared.
+"""How large the coupling error is: the scenario is played with twice as many micro steps first, and compared.
+
+Every interval between two events gets twice as many, however short it is: where arrivals cut steps, half of the
+longest step would change little, or nothing.
 
 Nothing is asked of a component for this, not even to save its state, and the network is the same in both plays, since
 every draw is keyed. For a method of order p the difference is (1 - 2^-p) of the error of the longer step, to leading
@@ -8,16 +11,17 @@ of the whole run, of all agents together, in what is recorded.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Set
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cosim.agents.transfers import target_of
 from cosim.components.component import Floats
 from cosim.errors import CosimError, RunEndedError
-from cosim.plan import CouplingPlan, Plan
+from cosim.plan import AgentPlan, Method, Plan, Port
 from cosim.recording.columns import arriving_names
 from cosim.running.inline import run
 from network.messages import Fates
@@ -53,9 +57,28 @@ class AgentError:
         return f"{self.error:.2g} in {self.variable} of agent {self.agent}, {100 * self.relative:.2g} % of its range"
 
 
-def order(coupling: CouplingPlan) -> int | None:
-    """Of convergence, where the step is fixed and can be halved."""
-    return None if coupling.grid or coupling.control else coupling.order
+def order(agent: AgentPlan) -> int | None:
+    """Of convergence, where the step is fixed and can be halved; `midpoint` has 1 where inputs jump at arrivals."""
+    coupling = agent.coupling
+    if coupling.grid or coupling.control:
+        return None
+    return 1 if coupling.method is Method.MIDPOINT and _inputs_may_jump(agent) else coupling.order
+
+
+def _inputs_may_jump(agent: AgentPlan) -> bool:
+    """Whether what is heard feeds straight through to an output that a component reads."""
+    heard = (*agent.mailbox.values.values(), agent.mailbox.stamp, agent.mailbox.time)
+    jumping = {target_of(port) for port in heard if port is not None} if agent.neighbours else set()
+    reached = 0
+    while reached < len(jumping):
+        reached = len(jumping)
+        jumping |= {target_of(x.target) for x in agent.connections if _depends_on(x.source, jumping)}
+    return any(target_of(x.target) in jumping for x in agent.connections)
+
+
+def _depends_on(output: Port, inputs: Set[tuple[int, str]]) -> bool:
+    behind = {name for component, name in inputs if component == output.component}
+    return not behind.isdisjoint(behind if output.variable.dependencies is None else output.variable.dependencies)
 
 
 class Estimate:
@@ -74,7 +97,7 @@ class Estimate:
         if plan.bridge.subscribe:
             raise CosimError("--estimate-error is not for runs that replay what came from outside")
         self._plan = plan
-        self._orders = [order(agent.coupling) for agent in plan.agents]
+        self._orders = [order(agent) for agent in plan.agents]
         if not any(self._orders):
             raise CosimError("--estimate-error halves fixed steps, and no agent has one that can be halved")
         self._columns = [arriving_names(agent) for agent in plan.agents]
@@ -85,7 +108,7 @@ class Estimate:
         self._low, self._high = np.full(width, np.inf), np.full(width, -np.inf)
 
     def prepare(self, stop_requested: Callable[[], bool], watch: Watch | None = None) -> None:
-        """Play it with half the micro steps.
+        """Play it with twice as many micro steps.
 
         Raises:
             CosimError: a component failed.
@@ -159,7 +182,7 @@ def _halved(plan: Plan) -> Plan:
     agents = []
     for agent in plan.agents:
         coupling = agent.coupling
-        if order(coupling) is not None:
-            coupling = replace(coupling, step_ns=(coupling.step_ns + 1) // 2)
+        if order(agent) is not None:
+            coupling = replace(coupling, refinement=2)
         agents.append(replace(agent, coupling=coupling))
     return replace(plan, agents=tuple(agents))

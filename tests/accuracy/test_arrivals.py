@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from cosim.running.estimation import Estimate
 from cosim.running.inline import run
 from tests.accuracy.test_step_control import Accounted
 from tests.distributed.networks import planned
@@ -100,3 +101,21 @@ def test_both_loops_make_the_same_of_steps_of_a_nanosecond() -> None:
     for delays_ns in DELAYS.values():
         native, python = (simulate(delays_ns, f"method: midpoint, loop: {loop}") for loop in ("native", "python"))
         assert native.ticks == python.ticks
+
+
+@pytest.mark.parametrize("loop", ["native", "python"])
+@pytest.mark.parametrize("method", ["midpoint", "gauss-seidel", "jacobi"])
+@pytest.mark.parametrize(
+    ("delays_ns", "step"), [((25_000_000, 50_000_000, 75_000_000), "50 ms"), ((7_000_000, 50_000_000), "20 ms")]
+)
+def test_the_estimated_error_where_arrivals_cut_the_steps(
+    delays_ns: tuple[int, ...], step: str, method: str, loop: str
+) -> None:
+    """In the first case every step is half as long as what is asked for: half of that alone would change nothing."""
+    plan = planned(scenario(delays_ns, f"method: {method}, step: {step}, loop: {loop}"))
+    estimate, seen = Estimate(plan), Accounted()
+    estimate.prepare(lambda: False)
+    run(plan, [estimate, seen])
+    found = np.array(seen.rows)[:, 0]
+    (error,) = estimate.errors()
+    assert error.error == pytest.approx(np.abs(found - exact(delays_ns)).max(), rel=0.2)
