@@ -49,7 +49,8 @@ class Variable:
         dependencies: for outputs, the names of the inputs that feed through directly; None where the FMU does not say
             (then every input must be assumed). For state derivatives it is unused.
         initial: `exact`, `approx` or `calculated` (FMI 3.0, section 2.4.7.5); empty where that says nothing. The start
-            value of a `calculated` variable cannot be set.
+            value of a `calculated` variable cannot be set. Of an array `calculated` if it is for any element.
+        initials: of every element of a flattened FMI 2.0 array, where they are not the same.
         measure: what the unit means, or None where that is not known.
         derivative_of: the variable whose derivative it is, if the model description says so.
         elements: where a scenario maps names: the numbers of the component's own variables that it stands for. The
@@ -68,6 +69,7 @@ class Variable:
     items: Mapping[str, int] = field(default_factory=dict)
     dependencies: tuple[str, ...] | None = None
     initial: str = ""
+    initials: tuple[str, ...] = ()
     measure: Measure | None = None
     derivative_of: str | None = None
     elements: tuple[Element, ...] | None = None
@@ -121,6 +123,7 @@ def head(variable: Variable, shape: tuple[int, ...]) -> Variable:
         references=tuple(variable.references[i] for i in kept) if variable.elements is None else (),
         elements=None if variable.elements is None else tuple(variable.elements[i] for i in kept),
         start=None if variable.start is None else tuple(variable.start[i] for i in kept),
+        initials=tuple(variable.initials[i] for i in kept) if variable.initials else (),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -11,6 +12,28 @@ from numpy.typing import NDArray
 
 from cosim.components.component import Element, Floats, Value, Variable
 from cosim.components.units import IDENTITY, Scale, conversion
+
+ELEMENT = re.compile(r"(?P<name>.+)\[(?P<indices>\d+(?:, ?\d+)*)\]")
+"""An element of an array, counted from 1, as FMI 2.0 and scenarios write it."""
+
+
+def find(variables: Mapping[str, Variable], name: str) -> Variable | None:
+    """The variable of that name, or the element of a flattened FMI 2.0 array, which has a name of its own there."""
+    match = ELEMENT.fullmatch(name)
+    if name in variables or match is None:
+        return variables.get(name)
+    array = variables.get(match["name"])
+    if array is None or not is_flattened(array):
+        return None
+    indices = tuple(int(i) - 1 for i in match["indices"].split(","))
+    if len(indices) != len(array.shape) or not all(0 <= i < n for i, n in zip(indices, array.shape, strict=True)):
+        return None
+    return _scalar(array, int(np.ravel_multi_index(indices, array.shape)))
+
+
+def is_flattened(variable: Variable) -> bool:
+    """Whether it is an array of FMI 2.0, made of scalars."""
+    return bool(variable.shape) and variable.elements is None and len(variable.references) == variable.size > 0
 
 
 def elements_of(variable: Variable) -> tuple[Element, ...]:
@@ -30,17 +53,21 @@ def read_back(variable: Variable) -> tuple[Element, ...]:
 
 def element_of(variable: Variable, index: int) -> Element:
     """One number of an own variable; of a flattened FMI 2.0 array, the scalar that it is."""
-    if not variable.shape or len(variable.references) != variable.size or variable.size == 1:
-        return Element(variable, index)
+    return Element(_scalar(variable, index)) if is_flattened(variable) else Element(variable, index)
+
+
+def _scalar(variable: Variable, index: int) -> Variable:
+    """One element of a flattened array, under its own name."""
     place = np.unravel_index(index, variable.shape)
-    scalar = replace(
+    return replace(
         variable,
         name=f"{variable.name}[{','.join(str(int(i) + 1) for i in place)}]",
         shape=(),
         references=(variable.references[index],),
         start=None if variable.start is None else (variable.start[index],),
+        initial=variable.initials[index] if variable.initials else variable.initial,
+        initials=(),
     )
-    return Element(scalar)
 
 
 def in_unit_of(variable: Variable, other: Variable) -> Variable | None:
@@ -135,22 +162,24 @@ def _piece(found: Sequence[tuple[int, Element]]) -> Piece:
 def own_starts(
     variables: Mapping[str, Variable], start: Mapping[str, tuple[Value, ...]]
 ) -> Iterable[tuple[Variable, tuple[Value, ...]]]:
-    """Start values of a component's own variables, from those of the variables as a scenario names them.
+    """Start values of a component's own variables, from those of the variables as a scenario names them. Those of an
+    array come before those of its elements, which so may differ.
 
     Args:
         variables: by the names that the scenario uses.
         start: by the same names.
     """
     found: dict[str, tuple[Variable, list[Value]]] = {}
-    by_kind = sorted(start.items(), key=lambda item: variables[item[0]].elements is not None)
-    for name, values in by_kind:
-        variable = variables[name]
+    known = [(variable, values) for name, values in start.items() if (variable := find(variables, name)) is not None]
+    for variable, values in sorted(
+        known, key=lambda item: (item[0].elements is not None, item[0].name not in variables)
+    ):
         if variable.elements is None:
-            found[name] = variable, list(values)
+            found[variable.name] = variable, list(values)
             continue
         for element, value in zip(variable.elements, values, strict=True):
             own = element.variable
-            _, whole = found.setdefault(own.name, (own, list(own.start or ())))
+            _, whole = found.setdefault(own.name, (own, list(own.start or [0] * own.size)))
             whole[element.index] = value if element.scale == IDENTITY else _unscaled(variable, element, value)
     return ((own, tuple(whole)) for own, whole in found.values())
 

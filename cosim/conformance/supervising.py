@@ -17,6 +17,7 @@ from typing import IO, Any
 
 from cosim.components.component import Description, Interface, Value
 from cosim.components.opening import describe
+from cosim.components.presented import find
 from cosim.conformance.report import Finding, Report, Verdict
 from cosim.errors import ConfigError, Problem
 from cosim.spawning import kill_group, signal_name
@@ -50,7 +51,7 @@ def check(
     values = {name: _listed(x) for name, x in (start or {}).items()}
     structural = {name: x[0] for name, x in values.items() if isinstance(x[0], int)}
     description = describe(path, python, structural)
-    unknown = [name for name in values if name not in description.variables]
+    unknown = [name for name in values if find(description.variables, name) is None]
     if unknown:
         raise ConfigError([Problem(f"{path or python} has no variable {name!r}") for name in unknown])
     if not description.whole:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from cosim.components.component import Description, Interface, Value
-from cosim.components.presented import in_unit_of
+from cosim.components.presented import elements_of, find, in_unit_of
 from cosim.errors import Location, suggest
 from cosim.plan import Connection, CouplingPlan, Isolation, Port
 from cosim.planning.coupling import choose_coupling
@@ -140,6 +140,7 @@ def _part(
         description = replace(description, tolerance=spec.tolerance)
     mapped = map_names(description, spec, node, problems)
     start.update(_start_values(spec, node, mapped, problems, structural=False))
+    _check_complete(start, mapped.description, node, problems)
     cvode = None if spec.solver is None else spec.tolerance or _CVODE_TOLERANCE
     return Part(name, origin, mapped, start, _isolation(spec, node, problems), cvode)
 
@@ -175,7 +176,7 @@ def _start_values(
     found = {}
     variables = mapped.description.variables
     for name, value in spec.start.items():
-        variable = variables.get(name)
+        variable = find(variables, name)
         if variable is None and (structural or name in mapped.broken):
             continue
         if variable is None:
@@ -189,6 +190,27 @@ def _start_values(
             except ValueError as error:
                 problems.error(str(error), node.locate("start", name))
     return found
+
+
+def _check_complete(
+    start: Mapping[str, tuple[Element, ...]], description: Description, node: Node, problems: Problems
+) -> None:
+    """A start value of a part of an array needs those of the rest, which are not known once its size was changed."""
+    variables = description.variables
+    given: dict[str, set[int]] = {}
+    for name in start:
+        for element in elements_of(variables[name]) if name in variables else ():
+            given.setdefault(element.variable.name, set()).add(element.index)
+    for name in start:
+        for element in (variables[name].elements if name in variables else None) or ():
+            own = element.variable
+            if own.start is None and len(given[own.name]) < own.size:
+                problems.error(
+                    f"{name!r} is a part of {own.name!r}, which has {numbers(own.size)}, and nothing says what the "
+                    "others start with; give all of them start values",
+                    node.locate("start", name),
+                )
+                break
 
 
 def _parameters(ports: Ports, entry: AgentEntry) -> Iterator[str]:

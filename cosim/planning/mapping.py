@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cosim.components.component import Description, Element, Variable
-from cosim.components.presented import element_of, elements_of, in_unit_of, scaled
+from cosim.components.presented import ELEMENT, element_of, elements_of, in_unit_of, scaled
 from cosim.components.units import BASE, Measure, Scale, measure
 from cosim.errors import Location, suggest
 from cosim.planning.ports import a_or_an
@@ -20,7 +20,6 @@ from cosim.scenario.mapped import Scaled, ScaledInput
 from cosim.scenario.source import Node
 from cosim.scenario.spec import ComponentSpec
 
-_ELEMENT = re.compile(r"(?P<name>.+)\[(?P<indices>\d+(?:, ?\d+)*)\]")
 _READABLE = ("output", "local", "calculatedParameter", "parameter", "independent")
 
 
@@ -124,7 +123,7 @@ class _Mapping:
         """An own variable, or an element of one."""
         variables = self._own.variables
         variable, indices = variables.get(text), None
-        if variable is None and (match := _ELEMENT.fullmatch(text)) and match["name"] in variables:
+        if variable is None and (match := ELEMENT.fullmatch(text)) and match["name"] in variables:
             variable, indices = variables[match["name"]], tuple(int(i) for i in match["indices"].split(","))
         if variable is None:
             usable = [v.name for v in variables.values() if _usable(v, causality)]
@@ -297,6 +296,8 @@ def _alone(variable: Variable, element: Element, index: int) -> Variable:
         shape=(),
         references=(),
         start=None if variable.start is None else (variable.start[index],),
+        initial=variable.initials[index] if variable.initials else variable.initial,
+        initials=(),
         elements=(element,),
     )
 

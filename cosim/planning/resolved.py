@@ -7,6 +7,7 @@ from contextlib import suppress
 from typing import Any
 
 from cosim.components.component import Value, Variable
+from cosim.components.presented import find
 from cosim.plan import EXTERNAL, AgentPlan, CouplingPlan, Loop, Workers
 from cosim.planning.blueprint import Blueprint, Part
 from cosim.planning.describing import is_file
@@ -169,7 +170,7 @@ def _starts(agent: AgentPlan, blueprint: Blueprint) -> dict[str, Tree]:
     """Start values by component, without those that the framework sets."""
     return {
         component.name: {
-            name: _start(values, component.description.variables[name])
+            name: _start(values, find(component.description.variables, name))
             for name, values in component.start.items()
             if f"{component.name}.{name}" not in blueprint.assigned
         }
@@ -177,8 +178,8 @@ def _starts(agent: AgentPlan, blueprint: Blueprint) -> dict[str, Tree]:
     }
 
 
-def _start(values: tuple[Value, ...], variable: Variable) -> Value | list[Value]:
-    return list(values) if variable.shape else values[0]
+def _start(values: tuple[Value, ...], variable: Variable | None) -> Value | list[Value]:
+    return list(values) if variable is not None and variable.shape else values[0]
 
 
 def _shared(starts: Sequence[Mapping[str, Tree]]) -> dict[str, Tree]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 from cosim.components.component import Value, Variable
+from cosim.components.presented import element_of
 from cosim.components.start_values import from_digits
 from cosim.errors import suggest
 from cosim.scenario.spec import Normal, Uniform
@@ -28,6 +29,12 @@ def elements(value: Any, variable: Variable) -> tuple[Element, ...]:
     """
     if not is_settable(variable):
         kind = "a constant" if variable.variability == "constant" else "computed"
+        free = [i for i, initial in enumerate(variable.initials) if initial != "calculated"]
+        if free:
+            one = element_of(variable, free[0]).variable.name
+            raise ValueError(
+                f"{variable.name!r} is computed in part, and takes no start value as a whole; {one!r} does"
+            )
         raise ValueError(f"{variable.name!r} is {kind}; it takes no start value")
     flat = _flatten(value, variable) if isinstance(value, list) else [value] * variable.size
     if len(flat) != variable.size:
@@ -36,10 +43,13 @@ def elements(value: Any, variable: Variable) -> tuple[Element, ...]:
 
 
 def is_settable(variable: Variable) -> bool:
-    """Whether a variable takes a start value (FMI 3.0, section 2.4.7.5); parameters and inputs always do, also where an
-    array was given another size than that of the start values that are declared for it.
+    """Whether a variable takes a start value (FMI 3.0, section 2.4.7.5): parameters, inputs, and what is `exact` or
+    `approx` at the start; also where an array was given another size than that of the start values declared for it.
     """
-    given = variable.causality in ("input", "parameter", "structuralParameter")
+    given = variable.causality in ("input", "parameter", "structuralParameter") or variable.initial in (
+        "exact",
+        "approx",
+    )
     computed = variable.initial == "calculated" or (variable.start is None and not given)
     return variable.causality in _SETTABLE and variable.variability != "constant" and not computed
 

@@ -6,7 +6,6 @@ naming convention for them (FMI 2.0.5, section 2.2.9: `x[1]`, `x[2]`, row-major 
 
 from __future__ import annotations
 
-import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -15,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from cosim.components.component import Value, Variable
+from cosim.components.presented import ELEMENT
 from cosim.components.units import BASE, Measure, measure
 
 _FMI2_TYPES = {"Real": "Float64", "Integer": "Int32"}
 _STORED_AS = {"Enumeration": "Integer"}
-_ELEMENT = re.compile(r"(?P<name>.+)\[(?P<indices>\d+(?:, ?\d+)*)\]")
 
 
 def variables_of(model: Any, structural: Mapping[str, int]) -> dict[str, Variable]:
@@ -170,7 +169,7 @@ def _gather(scalars: Iterable[Variable]) -> tuple[dict[str, Variable], dict[str,
     scalars = list(scalars)
     groups: defaultdict[str, dict[tuple[int, ...], Variable]] = defaultdict(dict)
     for scalar in scalars:
-        match = _ELEMENT.fullmatch(scalar.name)
+        match = ELEMENT.fullmatch(scalar.name)
         if match:
             groups[match["name"]][tuple(int(i) for i in match["indices"].split(","))] = scalar
     taken = {scalar.name for scalar in scalars}
@@ -194,6 +193,7 @@ def _array(name: str, elements: Mapping[tuple[int, ...], Variable]) -> Variable 
     if min(min(indices) for indices in elements) < 1 or len(elements) != np.prod(shape, dtype=np.int64):
         return None
     starts = [element.start for element in ordered]
+    initials = tuple(element.initial for element in ordered)
     dependencies = [element.dependencies for element in ordered]
     return replace(
         first,
@@ -202,13 +202,15 @@ def _array(name: str, elements: Mapping[tuple[int, ...], Variable]) -> Variable 
         references=tuple(element.references[0] for element in ordered),
         start=None if None in starts else tuple(start[0] for start in starts if start),
         dependencies=None if None in dependencies else tuple(x for some in dependencies if some for x in some),
+        initial="calculated" if "calculated" in initials else first.initial,
+        initials=initials if len(set(initials)) > 1 else (),
         derivative_of=_array_differentiated(ordered),
     )
 
 
 def _array_differentiated(elements: Iterable[Variable]) -> str | None:
     """The array whose derivative an array is, element by element."""
-    matches = [_ELEMENT.fullmatch(element.derivative_of or "") for element in elements]
+    matches = [ELEMENT.fullmatch(element.derivative_of or "") for element in elements]
     names = {match["name"] if match else None for match in matches}
     return names.pop() if len(names) == 1 else None
 
