@@ -26,7 +26,8 @@ from cosim.agents.transfers import (
     unique,
 )
 from cosim.components.component import Component
-from cosim.plan import AgentPlan, Method, Port
+from cosim.components.presented import beginning, read_back
+from cosim.plan import AgentPlan, ComponentPlan, Method, Port
 from network.messages import NEVER, MessageLayout
 
 
@@ -74,6 +75,41 @@ class MailboxLayout:
 
 
 @dataclass(frozen=True)
+class Unheard:
+    """What an input has that takes values from messages, until they come.
+
+    Attributes:
+        port: the input.
+        positions: of the messages' values in the signals.
+        declared: what its component gives it.
+        names: under which a scenario may give it something else.
+    """
+
+    port: Port
+    positions: Positions
+    declared: NDArray[np.float64]
+    names: Sequence[str]
+
+    @classmethod
+    def of(cls, plan: AgentPlan, port: Port, positions: Positions) -> Unheard:
+        """That of an input; it is the same for all agents that are planned alike."""
+        variables = plan.components[port.component].description.variables
+        own = {element.variable.name for element in read_back(port.variable)}
+        names = [
+            name
+            for name, variable in variables.items()
+            if any(element.variable.name in own for element in variable.elements or ())
+            or (variable.elements is None and name in own)
+        ]
+        return cls(port, positions, beginning(port.variable, variables, {}), names)
+
+    def values(self, component: ComponentPlan) -> NDArray[np.float64]:
+        """Shape (positions.size,), in the unit of the message."""
+        start = {name: component.start[name] for name in self.names if name in component.start}
+        return beginning(self.port.variable, component.description.variables, start) if start else self.declared
+
+
+@dataclass(frozen=True)
 class Wiring:
     """Everything that moves inside one agent.
 
@@ -82,6 +118,7 @@ class Wiring:
         owner: (n_signals,) component whose output a signal is; -1 for the mailbox and what comes from outside.
         continuous: (n_signals,) whether a signal is an output that changes continuously: others are never extrapolated.
         mailbox: its place.
+        unheard: of each input that takes values from messages, what it has until they come.
         external: of each value from outside, its place.
         held: GET of arrays of which only some elements are fed: the others keep what they have at the start.
         propagate: at events, outputs to inputs, ordered so that every output is read after the inputs that feed through
@@ -100,6 +137,7 @@ class Wiring:
     owner: Positions
     continuous: NDArray[np.bool_]
     mailbox: MailboxLayout
+    unheard: tuple[Unheard, ...]
     external: tuple[Positions, ...]
     held: tuple[Transfer, ...]
     propagate: tuple[Transfer | AlgebraicLoop, ...]
@@ -117,7 +155,11 @@ class Wiring:
         return tuple(part for part in self.propagate if isinstance(part, AlgebraicLoop))
 
     def fill(self, signals: NDArray[np.float64], plan: AgentPlan) -> None:
-        """At the start: no neighbour heard yet; weights, and values from outside, in place; all else stays zero."""
+        """At the start: no neighbour heard yet, and in place of what will come from them what their inputs start with;
+        weights, and values from outside, in place; all else stays zero.
+        """
+        for unheard in self.unheard:
+            signals[unheard.positions] = unheard.values(plan.components[unheard.port.component])
         signals[self.mailbox.stamp] = NEVER
         signals[self.mailbox.weight] = plan.weights
         for positions, external in zip(self.external, plan.external, strict=True):
@@ -153,6 +195,7 @@ def wire(plan: AgentPlan, layout: MessageLayout) -> Wiring:
         owner=np.array(places.owner, dtype=np.int32),
         continuous=np.array(places.continuous, dtype=np.bool_),
         mailbox=mailbox,
+        unheard=tuple(Unheard.of(plan, port, positions) for port, positions in _messages(plan, layout, mailbox)),
         external=tuple(external),
         held=inputs.held,
         propagate=_propagation(plan, places, inputs) if joint else (),
@@ -209,14 +252,19 @@ def _mailbox_layout(n: int, layout: MessageLayout, offset: int) -> MailboxLayout
     return MailboxLayout(np.ascontiguousarray(values), stamp, time, weight)
 
 
+def _messages(plan: AgentPlan, layout: MessageLayout, mailbox: MailboxLayout) -> list[tuple[Port, Positions]]:
+    """The inputs that take values from messages, and where these lie."""
+    return [
+        (port, mailbox.values[:, layout.slices[name]].reshape(-1).astype(np.int32))
+        for name, port in plan.mailbox.values.items()
+    ]
+
+
 def _heard(
     plan: AgentPlan, layout: MessageLayout, mailbox: MailboxLayout, external: Sequence[Positions]
 ) -> list[tuple[Port, Positions]]:
     """The inputs that the mailbox and the outside feed, and where what they take lies."""
-    feeds = [
-        (port, mailbox.values[:, layout.slices[name]].reshape(-1).astype(np.int32))
-        for name, port in plan.mailbox.values.items()
-    ]
+    feeds = _messages(plan, layout, mailbox)
     for special, positions in (
         (plan.mailbox.stamp, mailbox.stamp),
         (plan.mailbox.time, mailbox.time),

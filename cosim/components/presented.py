@@ -184,6 +184,26 @@ def own_starts(
     return ((own, tuple(whole)) for own, whole in found.values())
 
 
+def beginning(variable: Variable, variables: Mapping[str, Variable], start: Mapping[str, tuple[Value, ...]]) -> Floats:
+    """What a numeric variable begins with, as its agent sees it: given, or declared by the component, or 0.
+
+    Args:
+        variable: of the component, possibly in another unit, or only the first rows of one.
+        variables: see `own_starts`.
+        start: likewise.
+
+    Returns:
+        Shape (variable.size,).
+    """
+    given = {own.name: values for own, values in own_starts(variables, start)}
+    found = np.zeros(variable.size)
+    for i, element in enumerate(read_back(variable)):
+        values = given.get(element.variable.name, element.variable.start) or ()
+        if element.index < len(values):
+            found[i] = element.scale(float(values[element.index]))
+    return found
+
+
 def _unscaled(variable: Variable, element: Element, value: Value) -> Value:
     into = variable.causality == "input"
     number = (element.scale if into else element.scale.inverse())(float(value))
