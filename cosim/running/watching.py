@@ -21,7 +21,7 @@ import traceback
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NoReturn, Protocol, Self
 
-from cosim import scratch
+from cosim import loading, scratch
 from cosim.attention import TICK, Spot, idle
 from cosim.errors import ConfigError, CosimError, RunError
 from cosim.running.stopping import REQUESTS, StopRequest
@@ -41,6 +41,9 @@ PATIENCE_SECONDS = 5.0
 """So long a crash waits for the thread, and the thread for whoever is at the record."""
 
 _CRASHES = {getattr(signal, name, 0) for name in ("SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL", "SIGABRT")}
+_EXITED = 255
+"""What `cosim/kernel/crash.c` says in place of a signal where native code called `exit`."""
+
 _FAILED = 3
 
 _DEBUGGERS = {"bdb", "pdb", "IPython", "debugpy", "pydevd", "_pydevd_bundle"}
@@ -153,12 +156,12 @@ class Watch:
             if number in REQUESTS:
                 self._asked.append(time.monotonic())
                 self._number = number
-            elif number in _CRASHES:
+            elif number in _CRASHES or number == _EXITED:
                 self._crashed(number)
 
     def _crashed(self, number: int) -> NoReturn:
         spot = Spot.of(self.attended)
-        how = f"crashed ({signal_name(number)})"
+        how = "ended the process that it runs in" if number == _EXITED else f"crashed ({signal_name(number)})"
         if spot.agent is None:
             self._end(CosimError(f"native code {how} outside of the components"), _FAILED)
         text = f"{how}; `isolate: true` gives it a process of its own"
@@ -208,7 +211,8 @@ class Watch:
         return RunError(agent.name, spot.names(agent), 0.0, text)
 
     def _end(self, error: CosimError, code: int) -> NoReturn:
-        in_order = self._at_record.acquire(timeout=PATIENCE_SECONDS)
+        # While a library is being loaded no other one can be, and closing the record takes some.
+        in_order = not loading.under_way and self._at_record.acquire(timeout=PATIENCE_SECONDS)
         say_at_once("")
         self._record.keep(error, in_order=in_order)
         say_at_once(f"error: {error}" if code == _FAILED else str(error))

@@ -13,6 +13,7 @@
 #include <string.h>
 
 #ifndef _WIN32
+#include <sys/wait.h>
 #include <unistd.h>
 #endif
 
@@ -61,6 +62,7 @@ enum {
     TICKS,
     ARMS,
     RELAYS,
+    STEP_EXITS,
 };
 
 typedef struct {
@@ -138,6 +140,11 @@ static void misbehave(Probe *p) {
             puts("going round in circles");
             for (volatile int forever = 1; forever;) {}
             break;
+        case STEP_EXITS:
+            puts("about to leave");
+            if (fork() == 0) exit(0); /* which is no concern of the run */
+            wait(NULL);
+            exit(0);
         case STEP_CRASHES:
             puts("about to crash");
             *(volatile int *)NULL = 1;

@@ -25,6 +25,7 @@ FAILS = (
     *("step_discards_long", "step_pending", "step_pending_error", "step_pending_forever"),
     *("step_prints", "step_floods", "step_hangs", "step_crashes", "step_wanders", "step_scribbles", "narrow"),
     *("ticks", "arms", "relays"),
+    "step_exits",
 )
 
 

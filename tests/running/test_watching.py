@@ -49,6 +49,22 @@ def test_a_crash_is_told(probes: dict[int, Path], tmp_path: Path, fmi: int, loop
     left(tmp_path, 3)
 
 
+@pytest.mark.parametrize("loop", ["native", "python"])
+def test_an_fmu_that_ends_the_process(probes: dict[int, Path], tmp_path: Path, loop: str) -> None:
+    """And says that all went well; one that it has forked does so before."""
+    setting = ("--set", f"coupling.loop={loop}")
+    done = cosim(
+        tmp_path, "run", "net.yaml", "--out", "out", "--no-report", *setting, text=scenario(probes[3], "step_exits")
+    )
+    assert done.returncode == 3
+    said = (
+        r"error: agent bad, component probe, at t = 0\.3\d* s: ended the process that it runs in; `isolate: true` gives"
+    )
+    assert re.search(f"^{said}", done.stderr, re.MULTILINE), done.stderr
+    assert (tmp_path / "out" / "logs" / "output.log").read_text().splitlines()[-1] == "about to leave"
+    left(tmp_path, 3)
+
+
 @pytest.mark.parametrize("loop", LOOPS)
 def test_a_call_that_never_returns_ends_at_the_deadline(probes: dict[int, Path], tmp_path: Path, loop: str) -> None:
     method, kind = LOOPS[loop]
@@ -194,6 +210,24 @@ def test_an_fmu_that_changes_the_current_folder(probes: dict[int, Path], tmp_pat
     assert "  report                   out/report.html" in done.stdout
     assert load(tmp_path / "out").manifest["status"] == "complete"
     assert (tmp_path / "out" / "report.html").exists()
+
+
+@pytest.mark.parametrize("command", ["run", "check"])
+@pytest.mark.parametrize(
+    ("constructor", "said"),
+    [
+        ("exit(0)", r"ended the process that it runs in; `isolate: true`"),
+        ("raise(SIGSEGV)", r"crashed \(SIGSEGV\); `isolate: true`"),
+        ("for (;;) pause()", "has not returned for 3 s; --step-deadline"),
+    ],
+)
+def test_a_library_that_does_harm_as_it_is_loaded(tmp_path: Path, constructor: str, said: str, command: str) -> None:
+    source = "#include <signal.h>\n#include <stdlib.h>\n#include <unistd.h>\n"
+    source += f"__attribute__((constructor)) static void load(void) {{ {constructor}; }}\n"
+    write_fmu(tmp_path / "bad.fmu", compile_probe(tmp_path, source), description3())
+    done = cosim(tmp_path, command, "net.yaml", "--step-deadline", "3 s", text=scenario(Path("bad.fmu"), "nothing"))
+    assert done.returncode == 3
+    assert re.search(rf"error: agent \w+, component probe, at t = 0 s: {said}", done.stderr), done.stderr
 
 
 DESTRUCTOR = """

@@ -31,6 +31,7 @@ from cosim.components.fmu import model_xml
 from cosim.components.fmu.archive import Archive, inspect, refuse, unpack
 from cosim.components.fmu.binary import HEAD_BYTES, complete, unfit
 from cosim.errors import ComponentError
+from cosim.loading import load
 from cosim.logs import Sink, discard
 
 with contextlib.redirect_stdout(io.StringIO()):  # where FMPy has no logger for the platform, it prints so
@@ -336,6 +337,8 @@ def _load(file: File, interface: Interface) -> Any:
     types = frozenset(_STORED_AS[t][file.fmi - 2] if t in _STORED_AS else t for t in used)
     working_directory = Path.cwd()
     try:
+        os.chdir(library.parent)  # as FMPy does
+        load(library)
         fmu = _forgiving(_CLASSES[file.fmi, interface], types)(**arguments)
     except Exception as error:  # FMPy raises bare exceptions
         reason = str(error.__context__ or error).replace(f"{folder}{os.sep}", "")
