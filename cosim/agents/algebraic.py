@@ -10,70 +10,132 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from cosim.components.component import Floats
 
 TOLERANCE = 1e-10
-"""Largest |G(y) - y|, relative to |y|, or absolute where that is below 1."""
+"""How far from the solution y may be, as Newton's method estimates it, relative to |y|."""
 
 ITERATIONS = 20
 
+_ROUNDING = 2.0**-44  # of the largest value so far: where one passes zero, nothing better can be had
+_SOLVED = 2.0**-50  # likewise, of G(y) - y: what is left is rounding
+_NEGLIGIBLE = 1e-12  # of G(y) - y, where the method gets no further: of the largest value so far, and of 1
 _DIFFERENCE = 2.0**-26  # about the root of the precision of a float
+_SINGULAR = 2.0**-24  # such a pivot the errors of the differences may leave of zero
+_SINGULAR_TEXT = "has no solution, or more than one"
+
+Outputs = Callable[[Floats], Floats]
 
 
 class UnsolvedError(ValueError):
     """Newton's method did not arrive; the message says why, for the end of a sentence."""
 
 
-def solve(outputs: Callable[[Floats], Floats], start: Floats) -> Floats:
-    """The y with y = G(y), as G(y); the last evaluation is at that y.
+class Solver:
+    """Solves one loop again and again. It remembers how large the values have been: that is their scale.
 
     Args:
-        outputs: G.
-        start: where to begin, shape (n,).
+        n: how many values there are.
+    """
+
+    def __init__(self, n: int) -> None:
+        self._largest = np.zeros(n)
+
+    def solve(self, outputs: Outputs, start: Floats) -> Floats:
+        """The y with y = G(y); the last evaluation is at that y, and where `start` solves it, it is that.
+
+        Args:
+            outputs: G.
+            start: where to begin, shape (n,).
+
+        Raises:
+            UnsolvedError: there is none near, more than one, or it takes too many iterations.
+        """
+        y = self._newton(outputs, start)
+        self._largest = np.maximum(self._largest, np.abs(y))
+        return y
+
+    def _newton(self, outputs: Outputs, start: Floats) -> Floats:
+        y, linear, reason = start, None, ""
+        best, least = start, math.inf
+        for _ in range(ITERATIONS + 1):
+            g = outputs(y)
+            size = np.maximum(self._largest, np.maximum(np.abs(y), np.abs(g)))
+            left = np.abs(g - y)
+            if np.all(left <= _SOLVED * size):
+                return y
+            remainder = float(np.max(left / np.maximum(1.0, size)))
+            if remainder < least:
+                best, least = y, remainder
+            try:
+                if linear is not None and _is_small(linear.step(y - g), y, size):
+                    return y  # by the derivatives at the value before: those are good enough for an estimate
+                linear = _Linear.at(outputs, y, g, np.where(size > 0.0, size, 1.0))
+                step = linear.step(y - g)
+            except UnsolvedError as error:
+                reason = str(error)
+                break
+            if _is_small(step, y, size):
+                best = y
+                break
+            y = y + step
+        else:
+            reason = f"is not solved after {ITERATIONS} iterations: {float(np.max(left)):.3g} is left"
+        if reason and least > _NEGLIGIBLE:
+            raise UnsolvedError(reason)
+        outputs(best)
+        return best
+
+
+def _is_small(step: Floats, y: Floats, size: Floats) -> bool:
+    return bool(np.all(np.abs(step) <= np.maximum(TOLERANCE * np.abs(y), _ROUNDING * size)))
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """The derivatives of G(y) - y: `rows`, of which column j is multiplied by the size of y_j."""
+
+    rows: list[list[float]]
+    size: Floats
+
+    @staticmethod
+    def at(outputs: Outputs, y: Floats, g: Floats, size: Floats) -> _Linear:
+        """Those at y, where G is g; `size` is never zero."""
+        n = len(y)
+        rows = [[0.0] * n for _ in range(n)]
+        for j in range(n):
+            moved = y.copy()
+            moved[j] += _DIFFERENCE * size[j]
+            slopes = ((outputs(moved) - g) / (moved[j] - y[j])).tolist()
+            for i in range(n):
+                rows[i][j] = (slopes[i] - (i == j)) * size[j].item()
+        return _Linear(rows, size)
+
+    def step(self, residual: Floats) -> Floats:
+        """The step at whose end G(y) - y would be larger by `residual`, if it was linear."""
+        return _eliminate(self.rows, residual.tolist()) * self.size
+
+
+def _eliminate(matrix: list[list[float]], right: list[float]) -> Floats:
+    """The solution of a linear system, by elimination with partial pivoting, after each row got 1 as its largest entry.
 
     Raises:
-        UnsolvedError: there is none near, more than one, or it takes too many iterations.
+        UnsolvedError: as far as can be told, there is none, or more than one.
     """
-    y, g = start, outputs(start)
-    for _ in range(ITERATIONS):
-        if _small(g - y, y):
-            return g
-        step = _eliminate(_jacobian(outputs, y, g), y - g)
-        y = y + step
-        g = outputs(y)
-    if _small(g - y, y):
-        return g
-    raise UnsolvedError(f"is not solved after {ITERATIONS} iterations: {np.max(np.abs(g - y)):.3g} is left")
-
-
-def _small(residual: Floats, y: Floats) -> bool:
-    return bool(np.all(np.abs(residual) <= TOLERANCE * np.maximum(1.0, np.abs(y))))
-
-
-def _jacobian(outputs: Callable[[Floats], Floats], y: Floats, g: Floats) -> list[list[float]]:
-    """Of G(y) - y, row by row."""
-    n = len(y)
-    rows = [[0.0] * n for _ in range(n)]
-    for j in range(n):
-        moved = y.copy()
-        moved[j] += _DIFFERENCE * max(1.0, abs(float(y[j])))
-        slopes = ((outputs(moved) - g) / (moved[j] - y[j])).tolist()
-        for i in range(n):
-            rows[i][j] = slopes[i] - (i == j)
-    return rows
-
-
-def _eliminate(rows: list[list[float]], right: Floats) -> Floats:
-    """The solution of a linear system, by elimination with partial pivoting; `rows` is used up."""
-    x = [float(value) for value in right]
+    scales = [max(map(abs, row)) for row in matrix]
+    if not all(0.0 < scale < math.inf for scale in scales):
+        raise UnsolvedError(_SINGULAR_TEXT)
+    rows = [[entry / scale for entry in row] for row, scale in zip(matrix, scales, strict=True)]
+    x = [value / scale for value, scale in zip(right, scales, strict=True)]
     n = len(x)
     for k in range(n):
         pivot = max(range(k, n), key=lambda i: abs(rows[i][k]))
-        if not math.isfinite(rows[pivot][k]) or abs(rows[pivot][k]) <= _DIFFERENCE:
-            raise UnsolvedError("has no solution, or more than one")
+        if not abs(rows[pivot][k]) > _SINGULAR:
+            raise UnsolvedError(_SINGULAR_TEXT)
         rows[k], rows[pivot] = rows[pivot], rows[k]
         x[k], x[pivot] = x[pivot], x[k]
         for i in range(k + 1, n):

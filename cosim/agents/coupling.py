@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -57,6 +57,9 @@ _SET = Direction.SET
 EVENT_ITERATIONS = 100
 """How often the components of an agent may change each other's inputs at one instant."""
 
+SETTLED = 1e-9
+"""What may still change of a continuous value, relative: a loop is solved to `algebraic.TOLERANCE`."""
+
 
 class PythonLoop:
     """The loop over any components."""
@@ -80,7 +83,7 @@ class PythonLoop:
         ends = np.cumsum([0, *(component.n_states for component in components)])
         self._states = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
         self._discrete = [takes_in_event_mode(component, wiring.inputs[c]) for c, component in enumerate(components)]
-        self._at_events, self._between_events = _stretches(wiring.propagate), _stretches(wiring.follow)
+        self._at_events, self._between_events = list(self._parts(wiring.propagate)), list(self._parts(wiring.follow))
         self._n_indicators = sum(component.n_indicators for component in components)
         self._indicators = np.empty(0)
         self._beyond = np.empty(0)
@@ -187,14 +190,14 @@ class PythonLoop:
     def _iterate_events(self) -> None:
         """From Event Mode to Continuous-Time Mode: update discrete states until no connected value changes any more."""
         signals, components = self._state.signals, self._components
-        self._propagate(self._at_events)
+        _do(self._at_events)
         for _ in range(EVENT_ITERATIONS):
             for c, component in enumerate(components):
                 event = component.update_discrete_states()
                 self._state.next_event[c] = math.inf if event is None else event
             before = signals.copy()
-            self._propagate(self._at_events)
-            if np.array_equal(before, signals):
+            _do(self._at_events)
+            if self._settled(before):
                 break
         else:
             raise ComponentError(
@@ -202,6 +205,12 @@ class PythonLoop:
             )
         for component in components:
             component.enter_continuous_time_mode()
+
+    def _settled(self, before: Floats) -> bool:
+        """Whether the signals are as they were; continuous ones, as far as a loop that was solved again can tell."""
+        now = self._signals
+        close = np.abs(now - before) <= SETTLED * np.maximum(np.abs(now), np.abs(before))
+        return bool(np.all((now == before) | (close & self._wiring.continuous)))
 
     # --- between events ---------------------------------------------------------------------------------------------
     def _integrate(self, start_ns: int, end_ns: int) -> None:
@@ -344,7 +353,7 @@ class PythonLoop:
     def _derivatives(self, time: float, x: Floats) -> Floats:
         """Derivatives of all states, with outputs carried to inputs in between."""
         self._place(time, x)
-        self._propagate(self._between_events)
+        _do(self._between_events)
         return np.concatenate([component.derivatives() for component in self._components])
 
     def _place(self, time: float, x: Floats) -> None:
@@ -399,7 +408,7 @@ class PythonLoop:
 
     def _indicators_at(self, time: float, x: Floats) -> Floats:
         self._place(time, x)
-        self._propagate(self._between_events)
+        _do(self._between_events)
         return self._get_indicators()
 
     def _get_indicators(self) -> Floats:
@@ -500,15 +509,19 @@ class PythonLoop:
             component.enter_step_mode()
 
     # --- transfers --------------------------------------------------------------------------------------------------
-    def _propagate(self, parts: Iterable[AlgebraicLoop | list[Transfer]]) -> None:
-        """Carry outputs to inputs, solving those that feed each other."""
-        for part in parts:
-            if isinstance(part, AlgebraicLoop):
-                self._solve(part)
-            else:
-                self._carry_out(part)
+    def _parts(self, propagated: Iterable[Transfer | AlgebraicLoop]) -> Iterator[Callable[[], None]]:
+        """What is done to carry outputs to inputs, in this order."""
+        for is_transfer, group in itertools.groupby(propagated, lambda part: isinstance(part, Transfer)):
+            if is_transfer:
+                yield partial(self._carry_out, [part for part in group if isinstance(part, Transfer)])
+                continue
+            for part in group:
+                if isinstance(part, AlgebraicLoop):
+                    yield partial(self._solve, part, algebraic.Solver(len(part.positions)))
 
-    def _solve(self, loop: AlgebraicLoop) -> None:
+    def _solve(self, loop: AlgebraicLoop, solver: algebraic.Solver) -> None:
+        """Solve a loop; the signals, and so the inputs, are the solution, and not what the components make of it."""
+
         def outputs(y: Floats) -> Floats:
             self._signals[loop.positions] = y
             self._carry_out(loop.sets)
@@ -516,7 +529,7 @@ class PythonLoop:
             return self._signals[loop.positions]
 
         try:
-            algebraic.solve(outputs, self._signals[loop.positions])
+            self._signals[loop.positions] = solver.solve(outputs, self._signals[loop.positions])
         except algebraic.UnsolvedError as error:
             raise ComponentError(
                 self._components[loop.component].name, f"the algebraic loop {loop.names} {error}"
@@ -540,17 +553,9 @@ class PythonLoop:
                 self._signals[positions] = values
 
 
-def _stretches(parts: Iterable[Transfer | AlgebraicLoop]) -> list[AlgebraicLoop | list[Transfer]]:
-    """The same, transfers that follow each other together."""
-    found: list[AlgebraicLoop | list[Transfer]] = []
+def _do(parts: Iterable[Callable[[], None]]) -> None:
     for part in parts:
-        if isinstance(part, AlgebraicLoop):
-            found.append(part)
-        elif found and isinstance(found[-1], list):
-            found[-1].append(part)
-        else:
-            found.append([part])
-    return found
+        part()
 
 
 def _combine(weights: Sequence[float], stages: Sequence[NDArray[np.float64]]) -> Floats:

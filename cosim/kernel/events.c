@@ -18,23 +18,27 @@ static bool update_discrete_states(Agent *agent, int component, double *next_eve
     return fail(agent, (Failure){.reason = DISCRETE_STATES_UNSETTLED, .component = component});
 }
 
-static bool signals_changed(const Agent *agent) {
-    for (int32_t i = 0; i < agent->n_signals; i++)
-        if (agent->signals[i] != agent->before[i]) return true;
-    return false;
+/* Whether the signals are as they were; continuous ones, as far as a loop that was solved again can tell. */
+static bool settled(const Agent *agent) {
+    for (int32_t i = 0; i < agent->n_signals; i++) {
+        double now = agent->signals[i], before = agent->before[i];
+        bool close = fabs(now - before) <= SETTLED * fmax(fabs(now), fabs(before));
+        if (!(now == before || (close && agent->continuous[i]))) return false;
+    }
+    return true;
 }
 
 bool iterate_events(Agent *agent) {
-    bool changed = true;
+    bool done = false;
     if (!carry_out(agent, agent->propagate, agent->signals)) return false;
-    for (int i = 0; changed && i < EVENT_ITERATIONS; i++) {
+    for (int i = 0; !done && i < EVENT_ITERATIONS; i++) {
         for (int c = 0; c < agent->n_components; c++)
             if (!update_discrete_states(agent, c, &agent->next_event[c])) return false;
         memcpy(agent->before, agent->signals, (size_t)agent->n_signals * sizeof(double));
         if (!carry_out(agent, agent->propagate, agent->signals)) return false;
-        changed = signals_changed(agent);
+        done = settled(agent);
     }
-    if (changed) return fail(agent, (Failure){.reason = EVENTS_UNSETTLED});
+    if (!done) return fail(agent, (Failure){.reason = EVENTS_UNSETTLED});
     for (int c = 0; c < agent->n_components; c++)
         if (!change_mode(agent, c, ENTER_CONTINUOUS_TIME_MODE)) return false;
     return true;
