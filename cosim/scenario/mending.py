@@ -37,6 +37,14 @@ def cut(root: Node, path: Sequence[Step]) -> tuple[Node, tuple[Step, ...]] | Non
     return None if child is None else (_with(root, first, None), (first,))
 
 
+def in_one_piece(path: Sequence[Step]) -> Sequence[Step]:
+    """The path of what must be cut for a mistake at `path`: a start value is cut whole, as its size counts."""
+    for i in range(len(path) - 3):
+        if path[i] == "components" and path[i + 2] == "start":
+            return path[: i + 4]
+    return path
+
+
 def _with(node: Node, step: Step, child: Node | None) -> Node:
     """The node with another child, or without one."""
     if isinstance(node.value, list):
@@ -44,6 +52,9 @@ def _with(node: Node, step: Step, child: Node | None) -> Node:
         return replace(node, value=[*node.value[:index], *([child] if child else []), *node.value[index + 1 :]])
     entries = {name: value for name, value in node.mapping.items() if name != str(step) or child is not None}
     return replace(node, value={**entries, **({str(step): child} if child is not None else {})})
+
+
+_QUOTED = re.compile("'[^']*'|`[^`]*`")
 
 
 class Doubts:
@@ -58,7 +69,10 @@ class Doubts:
         """Something at `path` was cut; `known` are the keys that there may be instead."""
         if len(path) <= 2 and path[0] == "agents":
             self._any_agent = True
-        wrong = next((step for step in reversed(path) if isinstance(step, str)), "")
+        *before, wrong = [step for step in path if isinstance(step, str)] or [""]
+        if before[-3:-2] == ["components"] and before[-1] == "start":  # one variable, of this component
+            self._words.add(f"{before[-2]}.{wrong}")
+            return
         self._words |= {wrong, *wrong.split(), *difflib.get_close_matches(wrong, list(known), n=1, cutoff=0.6)} - {""}
 
     def add_agent(self, name: str) -> None:
@@ -75,6 +89,7 @@ class Doubts:
         return not (self._any_agent or self._agents)
 
     def about(self, message: str) -> bool:
-        """Whether a complaint may only be there because of what was cut."""
-        said = re.sub(r" \((did you mean|known:).*", "", message)
-        return any(re.search(rf"(?<!\w){re.escape(word)}(?!\w)", said) for word in self._words)
+        """Whether a complaint may only be there because of what was cut: it names that in quotes, as it does a name."""
+        named = _QUOTED.findall(re.sub(r" \((did you mean|known:).*", "", message))
+        words = [re.compile(rf"(?<!\w){re.escape(word)}(?!\w)") for word in self._words]
+        return any(word.search(name) for name in named for word in words)

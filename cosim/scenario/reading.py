@@ -11,7 +11,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from cosim.errors import ConfigError, Location, Problem, suggest
 from cosim.scenario import profiles
-from cosim.scenario.mending import Doubts, Step, cut
+from cosim.scenario.mending import Doubts, Step, cut, in_one_piece
 from cosim.scenario.merging import Override, merge
 from cosim.scenario.names import agent_names
 from cosim.scenario.source import Node, read
@@ -198,7 +198,7 @@ def _validate_in_part(
         if spec is not None:
             return spec, node, problems
         for mistake in sorted(mistakes, key=lambda mistake: _last_first(mistake.path)):
-            if (smaller := cut(node, mistake.path)) is None:
+            if (smaller := cut(node, in_one_piece(mistake.path))) is None:
                 return None, node, problems
             node, path = smaller
             doubts.add(path, mistake.known)

@@ -440,6 +440,13 @@ FORM_AND_MEANING = [
     [("{model: ideal}", "§{model: idael}"), ("plant.v -> controller.v", "§plant.w -> controller.v")],
     [("1..3: {template: arm}", "1..3: {template: §amr}"), ("seed: 3", "seed: §three")],
     [("1..3: {template: arm}", "§1..x: {template: arm}"), ("period: 100 ms", "period: §100 parsecs")],
+    [
+        ("v: 0}", "v: §.nan}"),
+        ("    - 2 -> 3\n", "    - §2 -> v\n"),
+        ("plant.v -> controller.v", "§plant.v -> controller.w"),
+    ],
+    [("v: 0}", "v: [0, §{normal: [1, -1]}]}"), ("plant.p, plant.v", "plant.p, §plant.w")],
+    [("v: 0}", "v: §.nan}"), ("plant.v -> controller.v", "§plant.v -> controller.v_hat")],
     [("fmu: TwoLinkArm", "fmu: §TwoLinkArn"), ("step: 5 ms", "step: §-5 ms"), ("2 -> 3", "§2 -> 9")],
 ]
 
