@@ -227,7 +227,7 @@ class PythonLoop:
             known_ns = self._next_stop(to_seconds(start_ns), end_ns)
             cautious_ns = int(self._state.steps[0].item())
             stop_ns = min(known_ns, start_ns + cautious_ns) if cautious_ns else known_ns
-            self._located = False
+            self._located = self._scheduled = False
             reached_ns = self._integrate_states(start_ns, stop_ns)
             if self._located:
                 if reached_ns - since_ns > self._coupling.step_ns:
@@ -238,7 +238,7 @@ class PythonLoop:
                 self._state.steps[0] = cautious_step(self._coupling.step_ns)
             elif cautious_ns:
                 self._state.steps[0] = less_cautious(cautious_ns, self._coupling.step_ns)
-            if reached_ns < end_ns and (self._located or reached_ns == known_ns):
+            if reached_ns < end_ns and (self._located or self._scheduled or reached_ns == known_ns):
                 self._event(reached_ns, listen=False)
             start_ns = reached_ns
 
@@ -251,7 +251,9 @@ class PythonLoop:
         return stop_ns
 
     def _integrate_states(self, start_ns: int, stop_ns: int) -> int:
-        """From one event to the next one known; the time reached, which is earlier if there is a state event."""
+        """From one event to the next one known; the time reached, which is earlier if there is a state event, or a time
+        event that a step event on the way has scheduled.
+        """
         n_states = sum(component.n_states for component in self._components)
         if not (n_states or self._n_indicators):
             self._accept(to_seconds(stop_ns), np.empty(0))
@@ -273,14 +275,19 @@ class PythonLoop:
         """Steps from states at a time to those a length later; the time reached."""
         n, h = self._micro_steps(start_ns, end_ns)
         start, end = to_seconds(start_ns), to_seconds(end_ns)
-        x = self._get_states()
-        for i in range(n):
+        x, i = self._get_states(), 0
+        while i < n:
             t, final = start + i * h, i + 1 == n
             new, reached = step(t, x, h), end if final else start + (i + 1) * h
             if self._crosses(reached, new):
                 ends = bracket(t, reached, start_ns, end_ns, final=final)
                 return self._locate(ends, partial(step, t, x), t)
-            x = self._accept(reached, new)
+            x, i = self._accept(reached, new), i + 1
+            if x is not new and (earlier_ns := self._next_stop(reached, end_ns)) < end_ns:
+                self._scheduled, end_ns = True, earlier_ns
+                start, end, i = reached, to_seconds(end_ns), 0
+                n = max(1, math.ceil((end - start) / to_seconds(self._coupling.step_ns))) * self._coupling.refinement
+                h = (end - start) / n
         return end_ns
 
     def _euler_step(self, t: float, x: Floats, h: float) -> Floats:
@@ -327,6 +334,8 @@ class PythonLoop:
                 t = reached
                 x = self._accept(t, new)
                 k = [k[-1] if x is new else self._derivatives(t, x)]  # an event may have changed the states
+                if x is not new and (earlier_ns := self._next_stop(t, end_ns)) < end_ns:
+                    self._scheduled, end_ns, end = True, earlier_ns, to_seconds(earlier_ns)
             else:
                 k = [k[0]]
             if not (ratio <= 1.0 and final):  # a step cut short by an event says nothing about the next one's length

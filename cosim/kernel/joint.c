@@ -121,17 +121,17 @@ static bool step_to(Agent *agent, const void *step, int64_t time_ns, double *ind
     return s->make(agent, s->start, time - s->start) && indicators_at(agent, time, agent->new_states, indicators);
 }
 
-/* Bring all components to the state event of a step and make the step up to there final. `component` has crossed. */
-static bool locate(Agent *agent, Bracket ends, Step step, int64_t *reached_ns, int32_t *component) {
+/* Bring all components to the state event of a step and make the step up to there final. */
+static bool locate(Agent *agent, Bracket ends, Step step, Stop *stop) {
     double *before = agent->indicators, *after = before + agent->n_indicators;
     bool event = false;
-    if (!first_crossing(agent, ends, step_to, &step, reached_ns) || !step_to(agent, &step, *reached_ns, after))
+    if (!first_crossing(agent, ends, step_to, &step, &stop->time_ns) || !step_to(agent, &step, stop->time_ns, after))
         return false;
-    *component = 0;
+    stop->component = 0;
     for (int32_t c = agent->n_components - 1; c >= 0; c--)
         for (int32_t i = 0; i < agent->components[c].n_indicators; i++) {
             int32_t at = agent->components[c].first_indicator + i;
-            if (has_crossed(before[at], after[at])) *component = c;
+            if (has_crossed(before[at], after[at])) stop->component = c;
         }
     return complete(agent, &event); /* there will be an event in any case */
 }
@@ -163,24 +163,36 @@ static bool runge_kutta_step(Agent *agent, double t, double h) {
     return true;
 }
 
-static bool equal_steps(Agent *agent, int64_t start_ns, int64_t end_ns, int64_t *reached_ns, int32_t *component) {
-    bool euler = agent->integrator == EULER;
+/* After a step event at a time in seconds: whether a time event before `stop` has been scheduled, which then is the stop. */
+static bool stops_earlier(const Agent *agent, double time, Stop *stop) {
+    int64_t earlier_ns = next_stop(agent, time, stop->time_ns);
+    if (earlier_ns >= stop->time_ns) return false;
+    stop->scheduled = true;
+    stop->time_ns = earlier_ns;
+    return true;
+}
+
+static bool equal_steps(Agent *agent, int64_t start_ns, Stop *stop) {
+    MakeStep make = agent->integrator == EULER ? euler_step : runge_kutta_step;
     double h;
-    int64_t n = micro_steps(agent, start_ns, end_ns, &h);
-    double start = to_seconds(start_ns), end = to_seconds(end_ns);
+    int64_t n = micro_steps(agent, start_ns, stop->time_ns, &h), i = 0;
+    double start = to_seconds(start_ns), end = to_seconds(stop->time_ns);
     bool event, crossed;
 
     if (!get_all_states(agent)) return false;
-    for (int64_t i = 0; i < n; i++) {
+    while (i < n) {
         bool final = i + 1 == n;
         double t = start + (double)i * h, reached = final ? end : start + (double)(i + 1) * h;
-        if (!(euler ? euler_step(agent, t, h) : runge_kutta_step(agent, t, h))) return false;
-        if (!crosses(agent, reached, &crossed)) return false;
-        if (crossed)
-            return locate(agent, bracket(t, reached, start_ns, end_ns, final), (Step){euler ? euler_step : runge_kutta_step, t},
-                          reached_ns, component);
+        if (!make(agent, t, h) || !crosses(agent, reached, &crossed)) return false;
+        if (crossed) return locate(agent, bracket(t, reached, start_ns, stop->time_ns, final), (Step){make, t}, stop);
         copy_states(agent, agent->states, agent->new_states);
         if (!accept(agent, reached, &event)) return false;
+        i++;
+        if (event && stops_earlier(agent, reached, stop)) {
+            start = reached, end = to_seconds(stop->time_ns), i = 0;
+            n = (int64_t)fmax(1.0, ceil((end - start) / to_seconds(agent->step_ns))) * agent->refinement;
+            h = (end - start) / (double)n;
+        }
     }
     return true;
 }
@@ -240,8 +252,8 @@ static double step_factor(double ratio) {
     return fmin(5.0, fmax(0.2, factor));
 }
 
-static bool dormand_prince(Agent *agent, int64_t start_ns, int64_t end_ns, int64_t *reached_ns, int32_t *component) {
-    double start = to_seconds(start_ns), end = to_seconds(end_ns), largest = to_seconds(agent->step_ns);
+static bool dormand_prince(Agent *agent, int64_t start_ns, Stop *stop) {
+    double start = to_seconds(start_ns), end = to_seconds(stop->time_ns), largest = to_seconds(agent->step_ns);
     double t = start;
     double h = agent->steps[1] != 0.0 ? agent->steps[1] : largest;
 
@@ -263,8 +275,8 @@ static bool dormand_prince(Agent *agent, int64_t start_ns, int64_t end_ns, int64
             if (!crosses(agent, reached, &crossed)) return false;
             if (crossed) {
                 agent->steps[1] = h;
-                return locate(agent, bracket(t, reached, start_ns, end_ns, final), (Step){dormand_prince_step, t},
-                              reached_ns, component);
+                Bracket ends = bracket(t, reached, start_ns, stop->time_ns, final);
+                return locate(agent, ends, (Step){dormand_prince_step, t}, stop);
             }
             t = reached;
             copy_states(agent, agent->states, agent->new_states);
@@ -273,6 +285,7 @@ static bool dormand_prince(Agent *agent, int64_t start_ns, int64_t end_ns, int64
                 copy_states(agent, stage(agent, 0), stage(agent, 6)); /* the last stage is the next step's first */
             else if (!derivatives(agent, t, agent->states, stage(agent, 0)))
                 return false;
+            if (event && stops_earlier(agent, t, stop)) end = to_seconds(stop->time_ns);
         }
         if (!accepted || !final) h = length * step_factor(ratio); /* a cut step says nothing about the next length */
         if (h < 1e-12 * largest)
@@ -283,13 +296,13 @@ static bool dormand_prince(Agent *agent, int64_t start_ns, int64_t end_ns, int64
     return true;
 }
 
-bool integrate_states(Agent *agent, int64_t start_ns, int64_t end_ns, int64_t *reached_ns, int32_t *component) {
-    *reached_ns = end_ns;
+bool integrate_states(Agent *agent, int64_t start_ns, int64_t end_ns, Stop *stop) {
+    *stop = (Stop){.time_ns = end_ns, .component = -1};
     if (agent->n_states == 0 && agent->n_indicators == 0) { /* nothing to integrate */
         bool event;
         return accept(agent, to_seconds(end_ns), &event);
     }
     if (!get_all_indicators(agent, agent->indicators)) return false;
     bool adaptive = agent->integrator == DORMAND_PRINCE && agent->n_states > 0;
-    return (adaptive ? dormand_prince : equal_steps)(agent, start_ns, end_ns, reached_ns, component);
+    return (adaptive ? dormand_prince : equal_steps)(agent, start_ns, stop);
 }

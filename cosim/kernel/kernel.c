@@ -32,8 +32,7 @@ static int64_t first_nanosecond(double seconds) {
     return nanoseconds;
 }
 
-/* The first time event of a component after a time in seconds, when it is due, or the end. */
-static int64_t next_stop(const Agent *agent, double start, int64_t end_ns) {
+int64_t next_stop(const Agent *agent, double start, int64_t end_ns) {
     int64_t stop_ns = end_ns;
     for (int c = 0; c < agent->n_components; c++) {
         double event = agent->next_event[c];
@@ -46,23 +45,23 @@ static bool integrate_joint(Agent *agent, int64_t start_ns, int64_t end_ns) {
     int events = 0;
     int64_t since_ns = start_ns;
     while (start_ns < end_ns) {
-        int64_t known_ns = next_stop(agent, to_seconds(start_ns), end_ns), stop_ns = known_ns, reached_ns;
+        int64_t known_ns = next_stop(agent, to_seconds(start_ns), end_ns), stop_ns = known_ns;
         int64_t cautious_ns = (int64_t)agent->steps[0];
         if (cautious_ns && start_ns + cautious_ns < stop_ns) stop_ns = start_ns + cautious_ns;
-        int32_t component = -1;
-        if (!integrate_states(agent, start_ns, stop_ns, &reached_ns, &component)) return false;
-        bool located = component >= 0;
+        Stop stop;
+        if (!integrate_states(agent, start_ns, stop_ns, &stop)) return false;
+        bool located = stop.component >= 0;
         if (located) {
-            if (reached_ns - since_ns > agent->step_ns) events = 0, since_ns = reached_ns;
+            if (stop.time_ns - since_ns > agent->step_ns) events = 0, since_ns = stop.time_ns;
             if (++events > STATE_EVENTS_PER_STEP)
-                return fail(agent, (Failure){.reason = CHATTERING, .component = component});
+                return fail(agent, (Failure){.reason = CHATTERING, .component = stop.component});
             agent->steps[0] = (double)cautious_step(agent->step_ns);
         } else if (cautious_ns) {
             agent->steps[0] = (double)less_cautious(cautious_ns, agent->step_ns);
         }
-        bool event = located || reached_ns == known_ns;
-        if (reached_ns < end_ns && event && !handle_event(agent, reached_ns, false)) return false;
-        start_ns = reached_ns;
+        bool event = located || stop.scheduled || stop.time_ns == known_ns;
+        if (stop.time_ns < end_ns && event && !handle_event(agent, stop.time_ns, false)) return false;
+        start_ns = stop.time_ns;
     }
     return true;
 }

@@ -234,8 +234,17 @@ bool enter_event_mode(Agent *agent);
 bool iterate_events(Agent *agent);
 bool leave_events(Agent *agent, int component); /* Co-Simulation: from Event Mode to Step Mode */
 
-/* joint.c: `reached_ns` is `end_ns`, or earlier if there is a state event of `component`. */
-bool integrate_states(Agent *agent, int64_t start_ns, int64_t end_ns, int64_t *reached_ns, int32_t *component);
+/* The first time event of a component after a time in seconds, when it is due, or the end. */
+int64_t next_stop(const Agent *agent, double start, int64_t end_ns);
+
+/* joint.c: where it stopped, which is earlier than `end_ns` if there is a state event, or a time event that a step event on
+ * the way has scheduled. */
+typedef struct {
+    int64_t time_ns;
+    int32_t component; /* that has a state event, or -1 */
+    bool scheduled;
+} Stop;
+bool integrate_states(Agent *agent, int64_t start_ns, int64_t end_ns, Stop *stop);
 
 /* crossings.c: state events, as in cosim/agents/crossings.py */
 typedef struct {

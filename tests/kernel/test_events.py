@@ -57,3 +57,16 @@ def test_time_events_and_a_discrete_input_that_they_change(
 @pytest.mark.parametrize("name", TYPES[1:])
 def test_no_discrete_input_is_set_between_events(probes: dict[int, Path], name: str) -> None:
     played(probe_pair([probes[3]] * 2, [("x", f"{name}_in")], JOINT), ticks=2)
+
+
+@pytest.mark.parametrize("delay", [0.0211, 1 / 300, 0.131], ids=lambda x: f"{x:.4g}")
+@pytest.mark.parametrize("integrator", list(Integrator))
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_time_event_that_a_step_event_schedules(
+    probes: dict[int, Path], fmi: int, integrator: Integrator, delay: float
+) -> None:
+    """x' = 10; where a step ends beyond 1.25 the probe asks for an event, begins at 1 again and stands still from
+    `delay` later on.
+    """
+    plan = probe_pair([probes[fmi]] * 2, [], replace(JOINT, integrator=integrator), ("nothing", "arms"), (0.0, delay))
+    assert played(plan, ticks=3) == pytest.approx(1.0 + 10.0 * delay, abs=1.1e-8)
