@@ -13,11 +13,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.components.component import Floats
 
 TOLERANCE = 1e-10
 """How far from the solution y may be, as Newton's method estimates it, relative to |y|."""
+
+SETTLED = 1e-9
+"""Relative: two values that differ by no more may be solutions of the same loop."""
 
 ITERATIONS = 20
 
@@ -29,6 +33,12 @@ _SINGULAR = 2.0**-24  # such a pivot the errors of the differences may leave of 
 _SINGULAR_TEXT = "has no solution, or more than one"
 
 Outputs = Callable[[Floats], Floats]
+
+
+def close(one: Floats, other: Floats) -> NDArray[np.bool_]:
+    """Which values are the same, as far as a loop that is solved again can tell."""
+    same: NDArray[np.bool_] = np.abs(one - other) <= SETTLED * np.maximum(np.abs(one), np.abs(other))
+    return same
 
 
 class UnsolvedError(ValueError):

@@ -45,6 +45,7 @@ from cosim.agents.crossings import (
 from cosim.agents.extrapolation import middle_weight
 from cosim.agents.mailbox import Updates
 from cosim.agents.memory import LoopState
+from cosim.agents.starting import settle
 from cosim.agents.step_control import StepControl
 from cosim.agents.transfers import Direction, Transfer
 from cosim.agents.wiring import AlgebraicLoop, Wiring, takes_in_event_mode
@@ -56,9 +57,6 @@ from network.units import first_nanosecond, to_seconds
 _SET = Direction.SET
 EVENT_ITERATIONS = 100
 """How often the components of an agent may change each other's inputs at one instant."""
-
-SETTLED = 1e-9
-"""What may still change of a continuous value, relative: a loop is solved to `algebraic.TOLERANCE`."""
 
 
 class PythonLoop:
@@ -98,12 +96,7 @@ class PythonLoop:
             component.enter_initialization(to_seconds(start_ns), to_seconds(stop_ns))
         self._carry_out(wiring.held)
         self._carry_out(wiring.listen)
-        for gets in wiring.outputs:
-            self._carry_out(gets)
-        for _ in self._components:  # start values may depend on inputs: as many sweeps as the longest chain
-            for sets, gets in zip(wiring.inputs, wiring.outputs, strict=True):
-                self._carry_out(sets)
-                self._carry_out(gets)
+        settle(wiring, self._components, signals, self._carry_out)
         for component in self._components:
             component.exit_initialization()
         if self._joint:
@@ -209,8 +202,7 @@ class PythonLoop:
     def _settled(self, before: Floats) -> bool:
         """Whether the signals are as they were; continuous ones, as far as a loop that was solved again can tell."""
         now = self._signals
-        close = np.abs(now - before) <= SETTLED * np.maximum(np.abs(now), np.abs(before))
-        return bool(np.all((now == before) | (close & self._wiring.continuous)))
+        return bool(np.all((now == before) | (algebraic.close(now, before) & self._wiring.continuous)))
 
     # --- between events ---------------------------------------------------------------------------------------------
     def _integrate(self, start_ns: int, end_ns: int) -> None:

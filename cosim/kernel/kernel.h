@@ -14,7 +14,7 @@
 
 #define NANOSECONDS_PER_SECOND 1e9
 #define EVENT_ITERATIONS 100          /* as in cosim/agents/coupling.py */
-#define SETTLED 1e-9                  /* likewise */
+#define SETTLED 1e-9                  /* as in cosim/agents/algebraic.py */
 #define DISCRETE_STATE_ITERATIONS 100 /* as in cosim/components/fmu/component.py */
 #define EVENTS_PER_STEP 100           /* as in cosim/components/fmu/component.py */
 #define SHORTEST 1e-9                 /* likewise */

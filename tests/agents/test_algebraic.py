@@ -50,6 +50,27 @@ class Curve(PythonComponent):
         self.z = self.slope * self.u + self.bend * self.u * self.u
 
 
+class Held(PythonComponent):
+    """y = gain u + offset, and x keeps what u was at the start."""
+
+    gain = Parameter(1.0)
+    offset = Parameter(0.0)
+    u = Input()
+    x = State(0.0)
+    y = Output(depends_on=("u",))
+
+    def initialise(self, time: float) -> None:
+        self.x = self.u
+
+    def outputs(self, time: float) -> None:
+        self.y = self.gain * self.u + self.offset
+
+    def derivatives(self, time: float) -> Mapping[str, Any]:
+        return {"x": 0.0}
+
+    def step(self, time: float, step: float) -> None: ...
+
+
 @pytest.fixture(autouse=True)
 def importable(monkeypatch: pytest.MonkeyPatch) -> None:
     """pytest imports this file under a name of its own."""
@@ -182,12 +203,37 @@ def test_it_is_named_in_a_warning_and_runs_in_python() -> None:
     assert "loop: python" in plan.scenario
 
 
+@pytest.mark.parametrize(("method", "gain"), [("joint", 0.5), ("joint", -2.0), ("midpoint", 0.5), ("midpoint", -0.9)])
+def test_a_loop_at_the_start(method: str, gain: float) -> None:
+    """What is read in Initialization Mode, where a start value takes it, solves the loop already: y = gain y + 1."""
+    text = f"""\
+period: 100 ms
+duration: 100 ms
+agents:
+  1:
+    components:
+      one: {{python: "algebraic_agent:Held", start: {{gain: {gain}, offset: 1.0}}}}
+      two: {{python: "algebraic_agent:Held"}}
+    connections: [one.y -> two.u, two.y -> one.u]
+    record: [one.x, two.x, one.y]
+coupling: {{method: {method}}}
+"""
+    assert rows(text)[0] == pytest.approx([1.0 / (1.0 - gain)] * 3, rel=1e-9)
+
+
 def test_one_without_a_solution_is_named() -> None:
     _, error = in_process(planned(scenario(gain=1.0 / 0.6)))
     assert str(error) == (
-        "agent 1, component store, at t = 0 s: the algebraic loop store.y -> curve.z -> store.y "
-        "has no solution, or more than one"
+        "agent 1, component store, at t = 0 s: at the start, the outputs store.y, curve.z depend on each other, and "
+        "that has no solution, or more than one"
     )
+
+
+def test_one_that_loses_its_solution_is_named() -> None:
+    """y = x + 3 y + 5 bend y^2, of which x grows: from x = 1 / (5 bend) on there is none."""
+    _, error = in_process(planned(scenario(gain=5.0, bend=0.16)))
+    assert "agent 1, component store, at t = 0." in str(error)
+    assert "the algebraic loop store.y -> curve.z -> store.y " in str(error)
 
 
 def test_fmus_in_a_circle(probes: dict[int, Path]) -> None:
