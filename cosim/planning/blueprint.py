@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from cosim.components.component import Description, Interface, Value
@@ -16,6 +16,7 @@ from cosim.planning.mapping import Mapped, in_words, map_names
 from cosim.planning.ports import Ports, a_or_an, numbers, type_mismatch, warn_of_units
 from cosim.planning.problems import Problems
 from cosim.planning.starts import FLOATS, INTEGERS, NUMERIC, Element, elements, is_settable
+from cosim.recording.columns import scalar_names
 from cosim.scenario.reading import AgentEntry
 from cosim.scenario.source import Node
 from cosim.scenario.spec import MAILBOX_PORTS, ComponentSpec
@@ -87,6 +88,7 @@ def draw_up(entry: AgentEntry, n_neighbours: int, describer: Describer, period_n
     connections = _connections(ports, entry)
     publish = _publish(ports, entry)
     record = _record(ports, entry)
+    _check_columns(record, ports, entry)
     if len(parts) < len(names):
         return None
     readers = {names[x.target.component] for x in connections if x.source.component < x.target.component}
@@ -296,3 +298,21 @@ def _record(ports: Ports, entry: AgentEntry) -> tuple[tuple[str, Port], ...]:
         elif (port := ports.find(reference, where)) is not None:
             recorded[reference] = port
     return tuple(recorded.items())
+
+
+def _check_columns(record: Sequence[tuple[str, Port]], ports: Ports, entry: AgentEntry) -> None:
+    """Every recorded number has a column of its own: `x[1]` may be a variable beside an array `x`."""
+    first: dict[str, str] = {}
+    for index, (name, port) in enumerate(record):
+        columns = scalar_names(name, port.variable.shape)
+        same = next((column for column in columns if column in first), None)
+        if same is not None:
+            whole = entry.spec.record is None
+            path = ("components", ports.components[port.component]) if whole else ("record", index)
+            instead = "list under 'record' what to record, without one of them" if whole else "leave one of them out"
+            ports.problems.error(
+                f"{first[same]!r} and {name!r} are both recorded in a column {same!r}; {instead}, or give it another "
+                "name under 'outputs'",
+                entry.node.locate(*path, key=whole),
+            )
+        first |= dict.fromkeys(columns, name)

@@ -110,3 +110,16 @@ def test_an_input_that_has_no_value(tmp_path: Path, probe_library: Path) -> None
     assert str(found.where) == place
     assert found.message.startswith("'plant.u' has no value: nothing feeds it, and the component gives it none")
     assert not errors(tmp_path, text.replace("{g: 1}", "{g: 1, u: 2}"))
+
+
+@pytest.mark.parametrize("recorded", ["", ', §"plant.p[1]"'], ids=["every output", "those that are listed"])
+def test_two_numbers_never_share_a_column(tmp_path: Path, recorded: str) -> None:
+    """One was silently recorded over the other."""
+    renamed(tmp_path / "other.fmu")
+    mapped = MAPPED.replace("v: [qd1, qd2]}", 'v: [qd1, qd2], "p[1]": {from: q2, gain: -1}}')
+    record = ("    record: [plant.p, plant.v]\n", f"    record: [plant.p, plant.v{recorded}]\n" if recorded else "")
+    text = changed((PLANT, mapped), record)
+    text, place = marked(text if recorded else text.replace("      plant:\n", "      §plant:\n", 1))
+    (found,) = errors(tmp_path, text)
+    assert str(found.where) == place
+    assert "'plant.p' and 'plant.p[1]' are both recorded in a column 'plant.p[1]'; l" in found.message
