@@ -22,6 +22,11 @@ from cosim.errors import DiscardedStepError
 
 Floats = NDArray[np.float64]
 Value = float | int | bool | str
+Limits = tuple[float, float]
+NO_LIMITS: Limits = (-math.inf, math.inf)
+
+MOST_NUMBERS = 1_000_000
+"""How many a variable may hold."""
 
 
 class Interface(StrEnum):
@@ -51,6 +56,8 @@ class Variable:
         initial: `exact`, `approx` or `calculated` (FMI 3.0, section 2.4.7.5); empty where that says nothing. The start
             value of a `calculated` variable cannot be set. Of an array `calculated` if it is for any element.
         initials: of every element of a flattened FMI 2.0 array, where they are not the same.
+        limits: least and largest value that the component is made for: one pair for all numbers, or one for each; empty
+            where none is declared.
         measure: what the unit means, or None where that is not known.
         derivative_of: the variable whose derivative it is, if the model description says so.
         elements: where a scenario maps names: the numbers of the component's own variables that it stands for. The
@@ -70,6 +77,7 @@ class Variable:
     dependencies: tuple[str, ...] | None = None
     initial: str = ""
     initials: tuple[str, ...] = ()
+    limits: tuple[Limits, ...] = ()
     measure: Measure | None = None
     derivative_of: str | None = None
     elements: tuple[Element, ...] | None = None
@@ -99,6 +107,20 @@ class Element:
     scale: Scale = IDENTITY
 
 
+class SizeError(ValueError):
+    """A variable is larger than anything that is supported."""
+
+
+def check_size(name: str, shape: tuple[int, ...]) -> None:
+    """Refuse what would not fit into memory, before it is there.
+
+    Raises:
+        SizeError: names the variable.
+    """
+    if (size := math.prod(shape)) > MOST_NUMBERS:
+        raise SizeError(f"{name!r} would hold {size:,} numbers, and {MOST_NUMBERS:,} are the most that a variable may")
+
+
 def head(variable: Variable, shape: tuple[int, ...]) -> Variable:
     """The leading block of a flattened FMI 2.0 array, or of a mapped one, where more rows are declared than are used.
 
@@ -124,6 +146,7 @@ def head(variable: Variable, shape: tuple[int, ...]) -> Variable:
         elements=None if variable.elements is None else tuple(variable.elements[i] for i in kept),
         start=None if variable.start is None else tuple(variable.start[i] for i in kept),
         initials=tuple(variable.initials[i] for i in kept) if variable.initials else (),
+        limits=tuple(variable.limits[i] for i in kept) if len(variable.limits) > 1 else variable.limits,
     )
 
 

@@ -67,6 +67,7 @@ def _scalar(variable: Variable, index: int) -> Variable:
         start=None if variable.start is None else (variable.start[index],),
         initial=variable.initials[index] if variable.initials else variable.initial,
         initials=(),
+        limits=variable.limits[index : index + 1] if len(variable.limits) > 1 else variable.limits,
     )
 
 
@@ -180,7 +181,7 @@ def own_starts(
         for element, value in zip(variable.elements, values, strict=True):
             own = element.variable
             _, whole = found.setdefault(own.name, (own, list(own.start or [0] * own.size)))
-            whole[element.index] = value if element.scale == IDENTITY else _unscaled(variable, element, value)
+            whole[element.index] = own_value(variable, element, value)
     return ((own, tuple(whole)) for own, whole in found.values())
 
 
@@ -204,7 +205,10 @@ def beginning(variable: Variable, variables: Mapping[str, Variable], start: Mapp
     return found
 
 
-def _unscaled(variable: Variable, element: Element, value: Value) -> Value:
+def own_value(variable: Variable, element: Element, value: Value) -> Value:
+    """The start value of one number of an own variable, from that of the variable which stands for it."""
+    if element.scale == IDENTITY:
+        return value
     into = variable.causality == "input"
     number = (element.scale if into else element.scale.inverse())(float(value))
     return number if element.variable.dtype.startswith("Float") else round(number)

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cosim.components.component import Component, Description, Floats, Interface, Value, Variable
+from cosim.components.component import Component, Description, Floats, Interface, Value, Variable, check_size
 from cosim.components.saving import attributes_of, copied, from_bytes, put_back, to_bytes
 from cosim.components.start_values import start_values
 from cosim.components.units import measure
@@ -92,7 +92,12 @@ class Declaration:
     def variable(self, structural: Mapping[str, int]) -> Variable:
         """As the framework sees it, with the structural parameters given."""
         shape = tuple(structural[n] if isinstance(n, str) else n for n in self.shape)
-        start = np.broadcast_to(np.array(self.start, _ARRAY_TYPES[self.dtype]), shape)
+        check_size(self.name, shape)
+        numbers = self._in_numbers(self.start) if self.items else self.start
+        try:
+            start = np.broadcast_to(np.array(numbers, _ARRAY_TYPES[self.dtype]), shape)
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{self.name!r}: {error}") from error
         return Variable(
             name=self.name,
             causality=self.causality,
@@ -107,6 +112,14 @@ class Declaration:
             initial=self.initial,
             measure=measure(self.unit),
         )
+
+    def _in_numbers(self, start: Any) -> Any:
+        """The start value of an enumeration, whose items may be given by name."""
+        if isinstance(start, list | tuple):
+            return [self._in_numbers(item) for item in start]
+        if isinstance(start, str) and start not in self.items:
+            raise ValueError(f"{self.name!r} has no item {start!r}{suggest(start, self.items)}")
+        return self.items[start] if isinstance(start, str) else start
 
 
 class Input(Declaration):
@@ -261,7 +274,7 @@ def describe_python(dotted: str, structural: Mapping[str, int] | None = None) ->
     except KeyError as error:
         raise _refuse(f"{dotted} declares a variable with an unknown dtype or size {error}") from error
     except (ValueError, TypeError) as error:
-        raise _refuse(f"{dotted} declares a variable that cannot be: {error}") from error
+        raise _refuse(f"{dotted} declares a variable that cannot be: {error}") from None
     inputs = [name for name, variable in variables.items() if variable.causality == "input"]
     for name, variable in variables.items():
         for other in variable.dependencies or ():

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from cosim.components.component import Floats, Interface, Value, Variable
+from cosim.components.limits import limits_of
 from cosim.components.opening import describe
 from cosim.conformance.driving import STEPS, Driver, Subject, difference, first_difference
 from cosim.conformance.report import Verdict
@@ -284,13 +285,14 @@ def dimensions(subject: Subject) -> Iterator[Said]:
 
 
 def _tried(parameter: Variable, given: Sequence[Value] | None) -> list[int]:
-    """Other values of a structural parameter."""
+    """Other values of a structural parameter, within its limits."""
     if parameter.dtype == "Boolean":
         return [True, False]
     if parameter.dtype == "Enumeration":
         return list(parameter.items.values())
     usual = int((given or parameter.start or (1,))[0])
-    return sorted({1, usual + 1, usual + 3})
+    low, high = limits_of(parameter, 0)
+    return sorted(value for value in {1, usual + 1, usual + 3} if low <= value <= high) or [usual]
 
 
 def _shown(parameter: Variable, value: int) -> str:

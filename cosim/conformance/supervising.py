@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from cosim.components.component import Description, Interface, Value
+from cosim.components.limits import odd_limits
 from cosim.components.opening import describe
 from cosim.components.presented import find
 from cosim.conformance.report import Finding, Report, Verdict
@@ -59,7 +60,7 @@ def check(
     title = f"{path.name if path else python}: {description.model}, " + (
         "Python" if path is None else f"FMI {description.fmi}"
     )
-    found = [*_validation(path), *_Trial(path, python, values, description, deadline).findings()]
+    found = [*_validation(path, description), *_Trial(path, python, values, description, deadline).findings()]
     return Report(title, tuple(found))
 
 
@@ -80,12 +81,12 @@ def _target(target: str | Path | type) -> tuple[Path | None, str | None]:
     return Path(target), None
 
 
-def _validation(path: Path | None) -> list[Finding]:
+def _validation(path: Path | None, description: Description) -> list[Finding]:
     if path is None:
         return []
     from cosim.components.fmu.library import findings
 
-    found = findings(path)
+    found = [*findings(path), *odd_limits(description.variables)]
     if not found:
         return [Finding("", "description", Verdict.OK, "the validation finds nothing")]
     return [Finding("", "description", *_weighed(text)) for text in found]

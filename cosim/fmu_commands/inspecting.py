@@ -10,6 +10,7 @@ from cosim.components.component import Interface, Value, Variable
 from cosim.components.fmu.archive import refuse
 from cosim.components.fmu.library import PLATFORM, File, findings, read, runs_in_python
 from cosim.components.fmu.variables import variables_of
+from cosim.components.limits import odd_limits
 
 _KINDS = (
     ("inputs", ("input",)),
@@ -203,7 +204,7 @@ def _aligned(row: Sequence[str], widths: Sequence[int]) -> str:
 
 
 def _problems(file: File, path: Path, variables: Mapping[str, Variable]) -> list[str]:
-    found = [*_unusable(file), *findings(path), *_doubtful(variables)]
+    found = [*_unusable(file), *findings(path), *odd_limits(variables), *_doubtful(variables)]
     if not found:
         return ["no problems found"]
     return [_count(len(found), "problem"), *(f"  {text}" for text in found)]

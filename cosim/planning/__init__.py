@@ -22,6 +22,7 @@ from cosim.planning.coupling import solving, warn_of_order
 from cosim.planning.describing import Describer
 from cosim.planning.division import plan_workers
 from cosim.planning.graph import Edge, links_of, resolve_edges
+from cosim.planning.limits import warn_of_limits
 from cosim.planning.mailbox import mailbox_of, message_variables, published_as
 from cosim.planning.mapping import in_words
 from cosim.planning.problems import Problems
@@ -94,6 +95,8 @@ def plan(scenario: Scenario, located: Mapping[str, Path] | None = None) -> Plann
         problems.next_view()
         mailboxes[id(blueprint)] = mailbox_of(blueprint, message, bridged.feeds(names_of[id(blueprint)]))
     components = _components(blueprints, names_of.values(), scenario.spec.seed)
+    for names in names_of.values():
+        warn_of_limits(blueprints[names[0]], names, [components[name] for name in names], problems)
     record = _records(blueprints, problems)
     members = [Member(name, components[name], record[id(blueprint)]) for name, blueprint in blueprints.items()]
     analysis = AnalysisPlan()

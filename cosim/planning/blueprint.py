@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
-from cosim.components.component import Description, Interface, Value
+from cosim.components.component import Description, Interface, Value, Variable
+from cosim.components.limits import outside
 from cosim.components.presented import elements_of, find, in_unit_of
 from cosim.errors import Location, suggest
 from cosim.plan import Connection, CouplingPlan, Isolation, Port
@@ -15,7 +17,7 @@ from cosim.planning.describing import Describer, Origin
 from cosim.planning.mapping import Mapped, in_words, map_names
 from cosim.planning.ports import Ports, a_or_an, numbers, type_mismatch, warn_of_units
 from cosim.planning.problems import Problems
-from cosim.planning.starts import FLOATS, INTEGERS, NUMERIC, Element, elements, is_settable
+from cosim.planning.starts import FLOATS, INTEGERS, NUMERIC, Element, elements, is_drawn, is_settable
 from cosim.recording.columns import scalar_names
 from cosim.scenario.reading import AgentEntry
 from cosim.scenario.source import Node
@@ -84,7 +86,7 @@ def draw_up(entry: AgentEntry, n_neighbours: int, describer: Describer, period_n
         if part is not None:
             parts.append(part)
     ports = Ports(names, {part.name: part.mapped for part in parts}, problems)
-    assigned_ports = tuple(_parameters(ports, entry))
+    assigned_ports = tuple(_parameters(ports, entry, n_neighbours))
     connections = _connections(ports, entry)
     publish = _publish(ports, entry)
     record = _record(ports, entry)
@@ -133,7 +135,8 @@ def _part(
         if variables[key].causality == "structuralParameter" and value and isinstance(value[0], int)
     }
     if structural:
-        description = describer.describe(origin, structural, where)
+        sized_at = next((node.locate("start", name) for name in structural if name in spec.start), where)
+        description = describer.describe(origin, structural, sized_at)
         if description is None:
             return None
     if spec.solver is not None:
@@ -188,10 +191,23 @@ def _start_values(
         elif (variable.causality == "structuralParameter") is structural:
             try:
                 if value_of_each := elements(value, variable):
+                    if structural:
+                        _check_limits(variable, value_of_each)
                     found[name] = value_of_each
             except ValueError as error:
                 problems.error(str(error), node.locate("start", name))
     return found
+
+
+def _check_limits(variable: Variable, value: Sequence[Element]) -> None:
+    """Structural parameters size what the component holds: beyond their limits it need not have room for it.
+
+    Raises:
+        ValueError: it lies outside.
+    """
+    for index, number in enumerate(value):
+        if not is_drawn(number) and (said := outside(variable, index, cast(Value, number))):
+            raise ValueError(f"{variable.name!r} is {number}, {said}")
 
 
 def _check_complete(
@@ -215,7 +231,7 @@ def _check_complete(
                 break
 
 
-def _parameters(ports: Ports, entry: AgentEntry) -> Iterator[str]:
+def _parameters(ports: Ports, entry: AgentEntry, n_neighbours: int) -> Iterator[str]:
     """What `receive: count` and `receive: period` name, where that is a parameter of the right type and unit."""
     for key, types in (("count", INTEGERS), ("period", FLOATS)):
         where = entry.node.locate("receive", key)
@@ -229,6 +245,8 @@ def _parameters(ports: Ports, entry: AgentEntry) -> Iterator[str]:
             ports.problems.error(
                 f"{key!r} sets {kind}; {reference!r} is {a_or_an(variable.causality)} of type {variable.dtype}", where
             )
+        elif variable.causality == "structuralParameter" and (said := outside(variable, 0, n_neighbours)):
+            ports.problems.error(f"an agent here hears {n_neighbours} others: {reference!r} would be {said}", where)
         elif key == "period" and variable.unit not in (None, "s"):
             ports.problems.error(f"the period is in s, but {reference!r} is in {variable.unit}", where)
         else:

@@ -231,6 +231,7 @@ class _Mapping:
             dependencies=None if None in dependencies else tuple(x for some in dependencies if some for x in some),
             initial="calculated" if any(v.initial == "calculated" for v in variables) else first.initial,
             derivative_of=None,
+            limits=(),  # those of the component's own variables count
             elements=tuple(element for variable in variables for element in elements_of(variable)),
         )
 

@@ -54,6 +54,11 @@ def is_settable(variable: Variable) -> bool:
     return variable.causality in _SETTABLE and variable.variability != "constant" and not computed
 
 
+def is_drawn(element: Element) -> bool:
+    """Whether it is a distribution, of which each agent gets a number of its own."""
+    return isinstance(element, (Uniform, Normal))
+
+
 def draw(value: Sequence[Element], seed: int, paths: Sequence[str]) -> list[tuple[Value, ...]]:
     """Per path, the elements with every distribution replaced by its draw.
 

@@ -120,6 +120,19 @@ class NoState(PythonComponent):
         return {"x": 1.0}
 
 
+class Modes(PythonComponent):
+    mode = Parameter("slow", items={"slow": 3, "fast": -8})
+    modes = Parameter(["fast", "slow"], shape=(2,), items={"slow": 3, "fast": -8})
+
+
+class BadMode(PythonComponent):
+    mode = Parameter("slo", items={"slow": 3, "fast": -8})
+
+
+class BadStart(PythonComponent):
+    gain = Parameter("high")
+
+
 class BadShape(PythonComponent):
     """An array sized by nothing that there is."""
 
@@ -380,10 +393,18 @@ def test_what_cannot_be_loaded(name: str, said: str) -> None:
         (NoEquation, "declares a State but implements neither derivatives nor step"),
         (NoState, "implements derivatives but declares no State"),
         (BadShape, "unknown dtype or size 'm'"),
+        (BadMode, "declares a variable that cannot be: 'mode' has no item 'slo' (did you mean 'slow'?)"),
+        (BadStart, "declares a variable that cannot be: 'gain': could not convert string to float: 'high'"),
     ],
 )
 def test_declarations_that_cannot_be(cls: type[PythonComponent], said: str) -> None:
     assert said in refusal(dotted(cls))
+
+
+def test_items_by_name() -> None:
+    variables = describe_python(dotted(Modes)).variables
+    assert variables["mode"].start == (3,)
+    assert variables["modes"].start == (-8, 3)
 
 
 @pytest.mark.parametrize(

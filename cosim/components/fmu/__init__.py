@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from cosim.components.component import Description, Interface
+from cosim.components.component import Description, Interface, SizeError
 from cosim.components.fmu.archive import refuse
 from cosim.components.fmu.component import FmuComponent, Native
 from cosim.components.fmu.fmi2 import Fmi2Component
@@ -44,6 +44,8 @@ def describe(path: Path, structural: Mapping[str, int] | None = None) -> Descrip
         internal_step = _positive(co_simulation and co_simulation.fixedInternalStepSize)
         usual_step = _positive(experiment and experiment.stepSize)
         tolerance = _positive(experiment and experiment.tolerance)
+    except SizeError as error:
+        raise refuse(file.archive.path, f"cannot be described: {error}") from None
     except ValueError as error:
         raise refuse(file.archive.path, f"has a broken modelDescription.xml: {error}") from error
     return Description(

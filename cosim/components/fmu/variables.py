@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.components.component import Value, Variable
+from cosim.components.component import NO_LIMITS, Limits, Value, Variable, check_size
 from cosim.components.presented import ELEMENT
 from cosim.components.units import BASE, Measure, measure
 
@@ -51,11 +51,17 @@ def _fmi3_variables(model: Any, structural: Mapping[str, int]) -> dict[str, Vari
 
 
 def fmi3_shape(variable: Any, structural: Mapping[str, int]) -> tuple[int, ...]:
-    """The shape of an array, with the structural parameters given or else their start values."""
-    return tuple(
+    """The shape of an array, with the structural parameters given or else their start values.
+
+    Raises:
+        ValueError: it is too large.
+    """
+    shape = tuple(
         int(structural.get(d.variable.name, d.variable.start)) if d.start is None else d.start
         for d in variable.dimensions
     )
+    check_size(variable.name, shape)
+    return shape
 
 
 @dataclass(frozen=True)
@@ -101,6 +107,7 @@ def _read(v: Any, dtype: str, shape: tuple[int, ...], references: tuple[int, ...
         items={item.name: int(item.value) for item in declared.items} if declared and dtype == "Enumeration" else {},
         dependencies=context.dependencies.get(_value_of(v)) if v.causality in ("output", "local") else None,
         initial=v.initial or "",
+        limits=_limits(v, dtype),
         measure=_measured(unit, context.units, relative=bool(relative)),
         derivative_of=v.derivative.name if v.derivative is not None else None,
     )
@@ -141,6 +148,20 @@ def _number(text: str, dtype: str) -> Value:
     if dtype == "Boolean":
         return text in ("true", "1")
     return float(text) if dtype.startswith("Float") else int(text)
+
+
+def _limits(v: Any, dtype: str) -> tuple[Limits, ...]:
+    """`min` and `max`, those of the type where the variable has none; empty where neither says anything."""
+    number = float if dtype.startswith("Float") else int
+    written = [getattr(v, bound) or getattr(v.declaredType, bound, None) for bound in ("min", "max")]
+    found: list[float] = []
+    for text, none in zip(written, NO_LIMITS, strict=True):
+        try:
+            found.append(none if text is None else number(text))
+        except ValueError:  # the validation says so
+            found.append(none)
+    limits = found[0], found[1]
+    return () if limits == NO_LIMITS else (limits,)
 
 
 def _dependencies(model: Any) -> dict[tuple[str, int], tuple[str, ...]]:
@@ -194,6 +215,7 @@ def _array(name: str, elements: Mapping[tuple[int, ...], Variable]) -> Variable 
         return None
     starts = [element.start for element in ordered]
     initials = tuple(element.initial for element in ordered)
+    limits = tuple(element.limits[0] if element.limits else NO_LIMITS for element in ordered)
     dependencies = [element.dependencies for element in ordered]
     return replace(
         first,
@@ -204,6 +226,7 @@ def _array(name: str, elements: Mapping[tuple[int, ...], Variable]) -> Variable 
         dependencies=None if None in dependencies else tuple(x for some in dependencies if some for x in some),
         initial="calculated" if "calculated" in initials else first.initial,
         initials=initials if len(set(initials)) > 1 else (),
+        limits=limits if len(set(limits)) > 1 else first.limits,
         derivative_of=_array_differentiated(ordered),
     )
 
