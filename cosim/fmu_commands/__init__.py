@@ -14,14 +14,15 @@ def find(text: str) -> Path:
         ConfigError: there is none.
     """
     import fmus
-    from cosim.planning.describing import is_file
+    from cosim.planning.describing import files_beside, is_file, no_file
 
     path = Path(text)
     if path.is_file():
         return path
+    if text in fmus.names():
+        return fmus.path(text)
+    if reason := no_file(path):
+        raise ConfigError([Problem(reason, Location(text))])
     if not is_file(text):
-        if text in fmus.names():
-            return fmus.path(text)
         raise ConfigError([Problem(f"no file and no shipped FMU is called {text!r}{suggest(text, fmus.names())}")])
-    beside = sorted(other.name for other in path.parent.glob("*.fmu")) if path.parent.is_dir() else []
-    raise ConfigError([Problem(f"no such file{suggest(path.name, beside)}", Location(text))])
+    raise ConfigError([Problem(f"no such file{suggest(path.name, files_beside(path))}", Location(text))])

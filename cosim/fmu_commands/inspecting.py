@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.components.component import Interface, Value, Variable
+from cosim.components.fmu import usable_step
 from cosim.components.fmu.archive import refuse
 from cosim.components.fmu.library import PLATFORM, File, findings, read, runs_in_python
 from cosim.components.fmu.variables import variables_of
@@ -216,8 +217,22 @@ def _unusable(file: File) -> Iterator[str]:
     for identifier, library in file.libraries.items() if file.library_folder is not None else ():
         if Path(library).stem != identifier:
             yield f"its library is called {library} and its model identifier {identifier}: other tools may not load it"
+    co_simulation = file.implementations.get(Interface.CO_SIMULATION)
+    for what, step in (
+        ("a fixedInternalStepSize", getattr(co_simulation, "fixedInternalStepSize", None)),
+        ("a default experiment with steps", getattr(file.model.defaultExperiment, "stepSize", None)),
+    ):
+        if step is not None and not _is_step(step):
+            yield f"{what} of {step} s, which is ignored"
     if not file.archive.whole:
         yield f"only the description of {file.archive.original_name}: it can be planned with, but not run"
+
+
+def _is_step(written: str | float) -> bool:
+    try:
+        return usable_step(written) is not None
+    except ValueError:
+        return False
 
 
 def _doubtful(variables: Mapping[str, Variable]) -> Iterator[str]:

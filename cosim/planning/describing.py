@@ -51,16 +51,21 @@ class Describer:
 
         if spec.fmu not in fmus.names():
             hint = suggest(spec.fmu, fmus.names()) or "; run `python -m fmus.build` to build them"
+            if (self._scenario.folder(fmu_at) / spec.fmu).exists():
+                hint = f"; to mean what is beside the scenario, write './{spec.fmu}'"
             self.problems.error(f"no shipped FMU is called {spec.fmu!r}{hint}; a file ends in .fmu", fmu_at)
             return None
         return Origin(fmus.path(spec.fmu), None)
 
     def _file(self, written: str, where: Location) -> Origin | None:
-        path = (self._scenario.folder(where) / written).resolve()
+        path = self._scenario.folder(where) / written
         if path.is_file():
-            return Origin(path, None)
-        beside = sorted(other.name for other in path.parent.glob("*.fmu")) if path.parent.is_dir() else []
-        self.problems.error(f"no FMU file {written!r}{suggest(path.name, beside)}; looked for {path}", where)
+            return Origin(path.resolve(), None)
+        if reason := no_file(path):
+            self.problems.error(f"{written!r} {reason}", where)
+        else:
+            beside = suggest(path.name, files_beside(path))
+            self.problems.error(f"no FMU file {written!r}{beside}; looked for {path.resolve()}", where)
         return None
 
     def describe(self, origin: Origin, structural: Mapping[str, int], where: Location) -> Description | None:
@@ -81,6 +86,22 @@ class Describer:
             return opening.describe(origin.path, origin.python, structural)
         except ConfigError as error:
             return "; ".join(problem.message for problem in error.problems)
+
+
+def no_file(path: Path) -> str:
+    """Why there is something of that name which is no file, as a predicate; empty if there is nothing."""
+    if path.is_dir():
+        unpacked = (path / "modelDescription.xml").is_file()
+        zipped = f"; zip what is in it: cd '{path}' && zip -r ../{path.stem}-packed.fmu ."
+        return f"is the folder of an unpacked FMU{zipped}" if unpacked else "is a folder, not an FMU file"
+    if path.is_symlink():
+        return f"is a link to {path.readlink()}, which does not exist"
+    return "is neither a file nor a folder" if path.exists() else ""
+
+
+def files_beside(path: Path) -> list[str]:
+    """The FMU files in the folder of a file that is not there."""
+    return sorted(other.name for other in path.parent.glob("*.fmu") if other.is_file())
 
 
 def is_file(fmu: str) -> bool:

@@ -51,15 +51,18 @@ def own_steps(descriptions: Mapping[str, Description], halved: Set[str]) -> dict
         if description.variable_step and description.internal_step is None:
             continue
         parts = 2 if name in halved else 1
-        internal_ns, usual_ns = _whole_ns(description.internal_step), _whole_ns(description.usual_step)
-        found[name] = OwnStep((internal_ns or 1) * parts, usual_ns and usual_ns * parts, halved=parts > 1)
+        internal_ns, usual = _whole_ns(description.internal_step), description.usual_step
+        usual_ns = None if usual is None else max(round(usual * NANOSECONDS_PER_SECOND), 1) * parts
+        found[name] = OwnStep((internal_ns or 1) * parts, usual_ns, halved=parts > 1)
     return found
 
 
 def _whole_ns(seconds: float | None) -> int | None:
     """Seconds in nanoseconds; None where they are no whole number of them, nearly."""
-    nanoseconds = round((seconds or 0.0) * NANOSECONDS_PER_SECOND)
-    if seconds is None or nanoseconds < 1 or not math.isclose(nanoseconds / NANOSECONDS_PER_SECOND, seconds):
+    if seconds is None:
+        return None
+    nanoseconds = round(seconds * NANOSECONDS_PER_SECOND)
+    if nanoseconds < 1 or not math.isclose(nanoseconds / NANOSECONDS_PER_SECOND, seconds):
         return None
     return nanoseconds
 
@@ -99,6 +102,8 @@ def choose_step(  # noqa: PLR0917
         fitting_ns = _fitting(period_ns, unit_ns, usual)
         if fitting_ns is None:
             problems.error(f"no usual step divides the period {period}; give 'step' under 'coupling'", node.where)
+        elif fitting_ns != usual:
+            _warn_of_other(demands, usual, fitting_ns, period, node, problems)
         return fitting_ns
     step = format_duration(spec.step)
     if spec.step > period_ns:
@@ -167,6 +172,20 @@ def _usual(method: Method, demands: Mapping[str, OwnStep]) -> int:
     """The default step: what a component that accepts one length only is usually stepped with, else the method's."""
     steps = [demand.usual_ns for demand in demands.values() if demand.usual_ns is not None]
     return min(steps) if steps else _DEFAULT_STEP_NS.get(method, _OTHER_STEP_NS)
+
+
+def _warn_of_other(  # noqa: PLR0917
+    demands: Mapping[str, OwnStep], usual_ns: int, chosen_ns: int, period: str, node: Node, problems: Problems
+) -> None:
+    """A component is not stepped as in its default experiment, as that step does not fit the period."""
+    for name, demand in demands.items():
+        if demand.usual_ns == usual_ns:
+            usual, chosen = (format_duration(ns // demand.parts) for ns in (usual_ns, chosen_ns))
+            problems.warning(
+                f"{name!r} takes steps of one length, and {usual} (its default experiment) do not fit the period "
+                f"{period}: it gets {chosen}; 'step' under 'coupling' chooses another",
+                node.locate("components", name, key=True),
+            )
 
 
 def _hint(period_ns: int, unit_ns: int, spec: CouplingSpec) -> str:

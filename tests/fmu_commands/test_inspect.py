@@ -10,8 +10,9 @@ import pytest
 
 import fmus
 from cosim.cli import main
-from tests.components.probe import description2, write_fmu
+from tests.components.probe import description2, description3, write_fmu
 from tests.mapping.foreign import renamed
+from tests.scenario.scenarios import changed
 
 
 def inspected(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -71,7 +72,10 @@ def test_only_the_description(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ("name", "sentence"),
     [
         ("TwoLinkArn", "error: no file and no shipped FMU is called 'TwoLinkArn' (did you mean 'TwoLinkArm"),
-        ("there.fmu", "there.fmu: error: no such file"),
+        ("there.fmu", "there.fmu: error: no such file (did you mean 'text.fmu'?)"),
+        ("link.fmu", "link.fmu: error: is a link to nowhere.fmu, which does not exist"),
+        ("folder.fmu", "folder.fmu: error: is a folder, not an FMU file"),
+        ("unpacked", "unpacked: error: is the folder of an unpacked FMU; zip what is in it: cd 'unpacked' && zip -r"),
         ("text.fmu", "text.fmu is not an FMU: not a ZIP archive"),
         ("old.fmu", "is an FMU of FMI 1.0; export it for FMI 2.0 or 3.0"),
     ],
@@ -81,10 +85,38 @@ def test_what_is_no_fmu(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("text.fmu").write_text("no")
+    Path("link.fmu").symlink_to("nowhere.fmu")
+    Path("folder.fmu").mkdir()
+    Path("unpacked").mkdir()
+    Path("unpacked/modelDescription.xml").write_text("no")
     with zipfile.ZipFile("old.fmu", "w") as archive:
         archive.writestr("modelDescription.xml", '<fmiModelDescription fmiVersion="1.0"/>')
     assert main(["fmu", "inspect", name]) == 2
     assert sentence in capsys.readouterr().err
+
+
+def test_a_shipped_one_beside_a_folder_of_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("TwoLinkArm").mkdir()
+    assert "TwoLinkArm" in inspected(capsys, "TwoLinkArm")
+
+
+@pytest.mark.parametrize("step", ["INF", "1e300", "NaN", "-1"])
+def test_steps_that_nobody_can_make(tmp_path: Path, capsys: pytest.CaptureFixture[str], step: str) -> None:
+    """They were the end of `cosim check`, in a traceback."""
+    plain = '<CoSimulation modelIdentifier="probe" canHandleVariableCommunicationStepSize="true"/>'
+    fixed = f'<CoSimulation modelIdentifier="probe" fixedInternalStepSize="{step}"/>'
+    text = changed(
+        (plain, fixed),
+        ("<TypeDefinitions>", f'<DefaultExperiment stepSize="{step}"/><TypeDefinitions>'),
+        text=description3(),
+    )
+    path = write_fmu(tmp_path / "x.fmu", None, text)
+    output = inspected(capsys, str(path))
+    assert f"  a fixedInternalStepSize of {step} s, which is ignored" in output
+    assert f"  a default experiment with steps of {step} s, which is ignored" in output
 
 
 def test_findings_that_are_alike(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -137,7 +137,6 @@ def test_all_that_stands_against_a_tolerance_is_said_at_once() -> None:
     [
         ("{}", {"variable_step": False}, {}, PERIOD, 1_000_000),
         ("{}", {"variable_step": False, "usual_step": 0.02}, {}, PERIOD, 20_000_000),
-        ("{}", {"variable_step": False, "usual_step": 0.03}, {}, PERIOD, 25_000_000),
         ("{}", {"internal_step": 0.0002}, {}, PERIOD, 1_000_000),
         ("{}", {"internal_step": 0.1}, {}, PERIOD, PERIOD),
         ("{}", {"internal_step": 0.004}, {"internal_step": 0.005}, 400_000_000, 20_000_000),
@@ -155,6 +154,23 @@ def test_components_that_make_steps_of_their_own(
     assert found is not None
     assert found.step_ns == step_ns
     assert found.grid
+
+
+@pytest.mark.parametrize(
+    ("usual", "said", "step_ns", "got"),
+    [
+        (0.03, "30 ms", 25_000_000, "25 ms"),
+        (1 / 30, "33.333333 ms", 25_000_000, "25 ms"),
+        (0.2, "200 ms", PERIOD, "100 ms"),
+    ],
+)
+def test_the_step_of_a_default_experiment_that_does_not_fit(usual: float, said: str, step_ns: int, got: str) -> None:
+    """Another one is taken, as large as there is, and said."""
+    found, errors, (warning,) = choose("{}", describe(CS, variable_step=False, usual_step=usual), describe(CS))
+    assert errors == []
+    assert found is not None
+    assert found.step_ns == step_ns
+    assert f"{said} (its default experiment) do not fit the period 100 ms: it gets {got}; 'step'" in warning
 
 
 @pytest.mark.parametrize("interfaces", [(CS,), (ME, CS)])

@@ -122,6 +122,7 @@ WHAT_IT_MEANS: dict[str, tuple[Change, str]] = {
         ("fmu: TwoLinkArm\n", "fmu: §TwoLinkAm\n"),
         "no shipped FMU is called 'TwoLinkAm' (did you mean 'TwoLinkArm'?)",
     ),
+    "a folder": (("fmu: TwoLinkArm\n", "fmu: §./\n"), "is a folder, not an FMU file"),
     "another file than is pinned": (
         ("fmu: TwoLinkArm\n", f"fmu: TwoLinkArm\n        sha256: §{'0' * 63}A\n"),
         f"TwoLinkArm is not the file that is asked for: its SHA-256 is {ARM_SHA256}, not {'0' * 63}a",

@@ -5,6 +5,7 @@ Importing this package takes a while (FMPy brings lxml and more), so others impo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -41,8 +42,8 @@ def describe(path: Path, structural: Mapping[str, int] | None = None) -> Descrip
     experiment = file.model.defaultExperiment
     try:
         variables = variables_of(file.model, structural or {})
-        internal_step = _positive(co_simulation and co_simulation.fixedInternalStepSize)
-        usual_step = _positive(experiment and experiment.stepSize)
+        internal_step = usable_step(co_simulation and co_simulation.fixedInternalStepSize)
+        usual_step = usable_step(experiment and experiment.stepSize)
         tolerance = _positive(experiment and experiment.tolerance)
     except SizeError as error:
         raise refuse(file.archive.path, f"cannot be described: {error}") from None
@@ -80,13 +81,26 @@ def _no_library(file: File) -> str:
 
 
 def _positive(written: str | float | None) -> float | None:
-    """A step size or tolerance; None where none, or none that could be, is given.
+    """A tolerance; None where none, or none that could be, is given.
 
     Raises:
         ValueError: it is no number.
     """
     number = float(written) if written is not None else 0.0
-    return number if number > 0.0 else None
+    return number if 0.0 < number < math.inf else None
+
+
+def usable_step(written: str | float | None) -> float | None:
+    """A step size in seconds; None where none is given, or one of no length or of more than a year.
+
+    Raises:
+        ValueError: it is no number.
+    """
+    step = _positive(written)
+    return step if step is not None and step <= _YEAR else None
+
+
+_YEAR = 366 * 86400.0
 
 
 def open_fmu(
