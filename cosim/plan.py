@@ -55,7 +55,7 @@ class ControlPlan:
     """Steps of a Co-Simulation coupling that keep to a tolerance; see `cosim.agents.step_control`.
 
     Attributes:
-        relative_tolerance: for the error of a step in a connected output, in parts of its size.
+        relative_tolerance: for the error of a step in an output, in parts of its size.
         absolute_tolerance: what is allowed beside that, in the output's unit.
         least_ns: no step is shorter, unless the next event comes sooner.
         period_ns: T.

@@ -77,7 +77,10 @@ class PythonLoop:
             Method.MIDPOINT: self._midpoint,
         }.get(coupling.method)
         control = coupling.control
-        self.control = None if control is None else StepControl(control, coupling, wiring, components, state)
+        self.control = None
+        if control is not None:
+            read = partial(self._carry_out, [transfer for gets in wiring.watch for transfer in gets])
+            self.control = StepControl(control, coupling, wiring, components, state, read=read)
         ends = np.cumsum([0, *(component.n_states for component in components)])
         self._states = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
         self._discrete = [takes_in_event_mode(component, wiring.inputs[c]) for c, component in enumerate(components)]

@@ -1,9 +1,9 @@
 """How long the steps of a Co-Simulation coupling are, where a tolerance is given. Pure, given the components.
 
 With components that can save their state a step is made once, taken back, and made as two of half the length. The
-difference of the connected outputs estimates the error (Richardson; Hairer, Nørsett, Wanner, Solving Ordinary
-Differential Equations I, II.4): divided by 2^p - 1, p the order of the coupling, it is that of the two halves, which
-are kept. A step whose error exceeds the tolerance is taken back and made shorter.
+difference of all that changes continuously (`cosim.agents.watched`) estimates the error (Richardson; Hairer, Nørsett,
+Wanner, Solving Ordinary Differential Equations I, II.4): divided by 2^p - 1, p the order of the coupling, it is that of
+the two halves, which are kept. A step whose error exceeds the tolerance is taken back and made shorter.
 
 Without saved states nothing is taken back. Half the difference between what the outputs are at the end of a step and
 what the others were given for that instant (held, or extrapolated by `midpoint`) is the mean error of their inputs; it
@@ -26,6 +26,7 @@ import numpy as np
 
 from cosim.agents.extrapolation import LONGER, middle_weight
 from cosim.agents.memory import LoopState
+from cosim.agents.watched import watched_outputs
 from cosim.agents.wiring import Wiring
 from cosim.components.component import Component, Floats
 from cosim.errors import ComponentError, DiscardedStepError
@@ -52,7 +53,7 @@ class StepAccount:
         shortest, longest: of the steps made, in seconds; those that an event cut short count too.
         ratio: the largest estimated error of a step made, in parts of what the tolerances allow.
         error: that error, in the unit of `variable`.
-        variable: `component.variable`, whose error it is; empty where nothing is connected.
+        variable: `component.variable`, whose error it is; empty where nothing is watched.
         time: of the end of that step, in seconds.
     """
 
@@ -95,6 +96,7 @@ class StepControl:
         wiring: of the agent.
         components: of the agent.
         state: what the loop remembers; the length proposed for the next step is in it.
+        read: reads what is watched and not connected.
     """
 
     def __init__(
@@ -104,6 +106,8 @@ class StepControl:
         wiring: Wiring,
         components: Sequence[Component],
         state: LoopState,
+        *,
+        read: Callable[[], None],
     ) -> None:
         self._control = control
         self._components = components
@@ -113,9 +117,9 @@ class StepControl:
         self._midpoint = coupling.method is Method.MIDPOINT
         self._order = 2 if self._midpoint else 1
         self._growth = LONGER if self._midpoint else _GROWTH
-        self._names, late = _connected(wiring, components, jacobi=coupling.method is Method.JACOBI)
-        watched = sorted(self._names.keys() - late) or sorted(self._names)
-        self._connected = np.array(watched, dtype=np.intp)
+        self._read = read
+        self._names, watched = watched_outputs(wiring, components, coupling)
+        self._watched = np.array(watched, dtype=np.intp)
         self._owner, self._continuous = wiring.owner, wiring.continuous
         self._coarse = np.empty(0), 0.0  # signals at the start of the last whole step, and its length
         self._let_pass = 0
@@ -137,7 +141,7 @@ class StepControl:
         if not self._state.steps[1]:
             self._state.steps[1] = min(self._largest_ns, _FIRST_NS)
             self.jump()
-        one = self._doubled if self._control.rollback else self._watched
+        one = self._doubled if self._control.rollback else self._compared
         while start_ns < end_ns:
             self._state.time[0] = to_seconds(start_ns)
             start_ns += one(step, start_ns, end_ns)
@@ -189,25 +193,27 @@ class StepControl:
         return length_ns
 
     def _twice(self, step: Step, start_ns: int, length_ns: int, saved: Saved) -> Floats:
-        """Whole, taken back, and in halves: the error of the latter in every connected output."""
+        """Whole, taken back, and in halves: the error of the latter in every output watched."""
         start, half_ns = to_seconds(start_ns), length_ns // 2
         if not half_ns:  # 1 ns, between two events
             step(start, to_seconds(length_ns))
-            return np.zeros(len(self._connected))
+            return np.zeros(len(self._watched))
         before, length = self._coarse
         if length:  # extrapolate as a coupling that makes whole steps would
             self._state.previous[:] = before
             self._state.steps[0] = length
         step(start, to_seconds(length_ns))
-        whole = self._state.signals[self._connected]
+        self._read()
+        whole = self._state.signals[self._watched]
         saved.restore()
         step(start, to_seconds(half_ns))
         step(to_seconds(start_ns + half_ns), to_seconds(length_ns - half_ns))
-        errors: Floats = np.abs(self._state.signals[self._connected] - whole) / (2.0**self._order - 1.0)
+        self._read()
+        errors: Floats = np.abs(self._state.signals[self._watched] - whole) / (2.0**self._order - 1.0)
         return errors
 
     # --- without ----------------------------------------------------------------------------------------------------
-    def _watched(self, step: Step, start_ns: int, end_ns: int) -> int:
+    def _compared(self, step: Step, start_ns: int, end_ns: int) -> int:
         """A step after which the inputs are compared with what they should have been; its length."""
         length_ns, state = self._length(end_ns - start_ns), self._state
         length, before = to_seconds(length_ns), state.signals.copy()
@@ -216,7 +222,7 @@ class StepControl:
             weight = 2.0 * middle_weight(length, state.steps[0].item())
             given = np.where(self._continuous, before + weight * (before - state.previous), before)
         step(to_seconds(start_ns), length)
-        change = np.abs(state.signals[self._connected] - given[self._connected])
+        change = np.abs(state.signals[self._watched] - given[self._watched])
         errors = 0.5 * change * (length_ns / self._control.period_ns)
         ratio, worst = self._compare(errors, before)
         if ratio > 1.0 and length_ns <= self._least_ns:
@@ -242,10 +248,10 @@ class StepControl:
         return max(_LEAST_FACTOR, SAFETY * math.pow(ratio, -1.0 / (self._order + 1)))
 
     def _compare(self, errors: Floats, before: Floats) -> tuple[float, int]:
-        """The largest error in parts of what the tolerances allow, and among which connected output it is."""
+        """The largest error in parts of what the tolerances allow, and among which output watched it is."""
         if not errors.size:
             return 0.0, -1
-        size = np.maximum(np.abs(before[self._connected]), np.abs(self._state.signals[self._connected]))
+        size = np.maximum(np.abs(before[self._watched]), np.abs(self._state.signals[self._watched]))
         ratios = errors / (self._control.absolute_tolerance + self._control.relative_tolerance * size)
         worst = int(np.argmax(ratios))
         return float(ratios[worst]), worst
@@ -255,7 +261,7 @@ class StepControl:
         self._let_pass += 1
         if self._let_pass <= len(self._components) + 1:
             return True
-        signal = int(self._connected[worst])
+        signal = int(self._watched[worst])
         raise ComponentError(
             self._components[self._owner[signal]].name,
             f"the coupling's step is at the least, {format_duration(self._least_ns)}, and the estimated error of "
@@ -273,7 +279,7 @@ class StepControl:
         if ratio <= 1.0:
             self._let_pass = 0
         if worst >= 0 and ratio > self._worst[0]:
-            self._worst = ratio, float(errors[worst]), int(self._connected[worst]), to_seconds(end_ns)
+            self._worst = ratio, float(errors[worst]), int(self._watched[worst]), to_seconds(end_ns)
         factor, proposed_ns = min(growth, self._factor(ratio)), int(self._state.steps[1])
         wanted = length_ns * factor
         self._propose(max(wanted, proposed_ns) if factor >= 1.0 and length_ns < proposed_ns else wanted)
@@ -318,33 +324,6 @@ class Saved:
         for component, saved in zip(self._components, self._saved, strict=False):
             component.goes_back = False
             component.forget(saved)
-
-
-def _connected(wiring: Wiring, components: Sequence[Component], *, jacobi: bool) -> tuple[dict[int, str], set[int]]:
-    """The names of connected outputs by where they lie in the signals, and which of them come a step late.
-
-    These depend directly on an input that is read before whoever gives it steps. So their error is of order h, not
-    h^(p + 1), but what reads them integrates it, and is watched itself.
-    """
-    names: dict[int, str] = {}
-    late: set[int] = set()
-    for c, gets in enumerate(wiring.outputs):
-        behind = {
-            part.variable.name
-            for transfer in wiring.inputs[c]
-            for part in transfer.parts
-            if np.any(wiring.owner[part.positions] >= (0 if jacobi else c + 1))
-        }
-        for transfer in gets:
-            positions = iter(transfer.positions.tolist())
-            for variable in transfer.variables:
-                name = f"{components[c].name}.{variable.name}"
-                waits = bool(behind) if variable.dependencies is None else not behind.isdisjoint(variable.dependencies)
-                for i in range(variable.size):
-                    place = next(positions)
-                    names[place] = name if variable.size == 1 else f"{name}[{i + 1}]"
-                    late |= {place} if waits else set()
-    return names, late
 
 
 def manifest(accounts: Iterable[StepAccount]) -> list[dict[str, Any]]:

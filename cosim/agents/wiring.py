@@ -130,6 +130,8 @@ class Wiring:
         inputs: per component, SET of every connected input.
         listen: SET of every input that the mailbox or the outside feeds.
         sample: GET of what is published or recorded and not among `outputs`.
+        watch: per component, GET of its other outputs and its states that change continuously, where the coupling makes
+            steps twice to see their errors (`cosim.agents.watched`).
         published, recorded: positions of the published message, and of the recorded row, in the signals.
     """
 
@@ -146,6 +148,7 @@ class Wiring:
     inputs: tuple[tuple[Transfer, ...], ...]
     listen: tuple[Transfer, ...]
     sample: tuple[Transfer, ...]
+    watch: tuple[tuple[Transfer, ...], ...]
     published: Positions
     recorded: Positions
 
@@ -175,7 +178,8 @@ def wire(plan: AgentPlan, layout: MessageLayout) -> Wiring:
     """
     connected = unique(connection.source for connection in plan.connections)
     sampled = unique([*plan.publish, *(port for _, port in plan.record)])
-    outputs = unique([*connected, *sampled])
+    watched = _watched(plan) if plan.coupling.control is not None and plan.coupling.control.rollback else []
+    outputs = unique([*connected, *sampled, *watched])
 
     places = Places()
     for port in outputs:
@@ -190,6 +194,10 @@ def wire(plan: AgentPlan, layout: MessageLayout) -> Wiring:
     components = range(len(plan.components))
     joint = plan.coupling.method is Method.JOINT
     connected_keys = {key_of(port) for port in connected}
+
+    def others(ports: Sequence[Port], c: int) -> tuple[Transfer, ...]:
+        return places.gets([p for p in ports if p.component == c and key_of(p) not in connected_keys])
+
     return Wiring(
         n_signals=places.n,
         owner=np.array(places.owner, dtype=np.int32),
@@ -205,11 +213,8 @@ def wire(plan: AgentPlan, layout: MessageLayout) -> Wiring:
         listen=tuple(
             transfer for c in components for transfer in inputs.sets(port for port, _ in heard if port.component == c)
         ),
-        sample=tuple(
-            transfer
-            for c in components
-            for transfer in places.gets([p for p in sampled if p.component == c and key_of(p) not in connected_keys])
-        ),
+        sample=tuple(transfer for c in components for transfer in others(sampled, c)),
+        watch=tuple(others(watched, c) for c in components),
         published=concatenate(places.of(port) for port in plan.publish),
         recorded=concatenate(places.of(port) for _, port in plan.record),
     )
@@ -230,7 +235,8 @@ class Wirings:
         """See `wire`. Planning hands agents alike the same parts, so that it suffices to ask whether they are."""
         parts = (plan.connections, plan.publish, plan.mailbox, plan.record, *(x.description for x in plan.components))
         external = tuple((x.port.component, x.port.variable.name) for x in plan.external)
-        key = (*map(id, parts), plan.coupling.method, len(plan.neighbours), external)
+        coupling = plan.coupling.method, plan.coupling.control
+        key = (*map(id, parts), *coupling, len(plan.neighbours), external)
         if key not in self._known:
             self._known[key] = plan, wire(plan, self._layout)  # the plan stays alive, and with it its parts' identity
         return self._known[key][1]
@@ -274,6 +280,17 @@ def _heard(
             feeds.append((special, positions))
     feeds += [(source.port, positions) for source, positions in zip(plan.external, external, strict=True)]
     return [(port, positions) for port, positions in feeds if positions.size]
+
+
+def _watched(plan: AgentPlan) -> list[Port]:
+    """All that changes continuously, as the components themselves call it."""
+    return [
+        Port(c, variable)
+        for c, component in enumerate(plan.components)
+        for variable in (component.description.own or component.description).variables.values()
+        if variable.is_continuous and variable.size
+        if variable.causality == "output" or variable.name in component.description.states
+    ]
 
 
 def _propagation(

@@ -190,6 +190,12 @@ class Description:
     whole: bool = True
     own: Description | None = None
 
+    @property
+    def states(self) -> frozenset[str]:
+        """The continuous states that it tells of, under its own names: what it has the derivatives of."""
+        variables = (self.own or self).variables.values()
+        return frozenset(variable.derivative_of for variable in variables if variable.derivative_of is not None)
+
 
 class Component(ABC):
     """A live instance. Every method raises `ComponentError` with the component's last log line when it fails."""

@@ -18,7 +18,7 @@ from cosim.planning.analysis import Member, plan_analysis
 from cosim.planning.blueprint import Blueprint, Part, draw_up
 from cosim.planning.bridge import Bridged, missing_replay, plan_bridge
 from cosim.planning.channels import try_channels
-from cosim.planning.coupling import solving, warn_of_order
+from cosim.planning.coupling import solving, warn_of_order, warn_unwatched
 from cosim.planning.describing import Describer
 from cosim.planning.division import plan_workers
 from cosim.planning.graph import Edge, links_of, resolve_edges
@@ -298,6 +298,8 @@ def _with_loops(
         if id(blueprint) not in known:
             where = blueprint.where("connections")
             known[id(blueprint)] = agent.coupling
+            if agent.coupling.control is not None:
+                warn_unwatched(agent, wire(agent, layout), blueprint.where("coupling", "tolerance"), problems)
             if agent.coupling.method is Method.MIDPOINT:
                 warn_of_order(agent, where, problems)
             elif agent.coupling.method is Method.JOINT:

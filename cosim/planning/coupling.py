@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import replace
 
-from cosim.agents.wiring import AlgebraicLoop
+from cosim.agents.watched import unwatched_readers
+from cosim.agents.wiring import AlgebraicLoop, Wiring
 from cosim.components.component import Description, Interface
 from cosim.errors import Location
 from cosim.plan import AgentPlan, ControlPlan, CouplingPlan, Integrator, Loop, Method
@@ -175,6 +176,17 @@ def _auto(descriptions: Mapping[str, Description]) -> Method:
     """`joint` where all components allow it, else `midpoint`."""
     exchange = all(Interface.MODEL_EXCHANGE in description.interfaces for description in descriptions.values())
     return Method.JOINT if exchange else Method.MIDPOINT
+
+
+def warn_unwatched(agent: AgentPlan, wiring: Wiring, where: Location, problems: Problems) -> None:
+    """A tolerance keeps to what it sees, which may be nothing."""
+    if readers := unwatched_readers(wiring, agent.components, agent.coupling):
+        one = len(readers) == 1
+        problems.warning(
+            f"'tolerance' sees no error here: {_quoted(readers)}, which {'reads' if one else 'read'} others, "
+            f"{'has' if one else 'have'} no output that changes continuously; steps will be as long as 'step' allows",
+            where,
+        )
 
 
 def warn_of_order(agent: AgentPlan, where: Location, problems: Problems) -> None:

@@ -292,7 +292,7 @@ class CouplingSpec(Spec):
     )
     tolerance: Annotated[float, Field(gt=0, lt=1)] | None = Field(
         None,
-        description="Co-Simulation: steps as long as the estimated error of each in every connected output stays below "
+        description="Co-Simulation: steps as long as the estimated error of each in every output stays below "
         "this part of its size, plus absolute_tolerance; 'step' is then the largest, by default the period.",
     )
     least_step: PositiveDuration | None = Field(

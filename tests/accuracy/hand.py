@@ -16,6 +16,16 @@ class Hand(PythonComponent):
         self.u = 20.0 * (0.4 - self.p) - 3.0 * self.v
 
 
+class Judge(PythonComponent):
+    """Says nothing but whether the mass is on the right."""
+
+    p = Input(shape=(1,), unit="m")
+    right = Output(dtype="Boolean", depends_on=("p",))
+
+    def outputs(self, time: float) -> None:
+        self.right = self.p[0] > 0.0
+
+
 class Device(Hand):
     """The same, said to be a device."""
 

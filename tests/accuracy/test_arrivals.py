@@ -41,8 +41,10 @@ agents:
 """
 
 
-def scenario(delays_ns: tuple[int, ...], coupling: str) -> str:
-    lines, channels = [SCENARIO.rstrip()], ["channels:"]
+def scenario(delays_ns: tuple[int, ...], coupling: str, *, feedback: bool = True) -> str:
+    """Without feedback, what the controller is told of the mass stays 0: it only gives its pull."""
+    text = SCENARIO if feedback else SCENARIO.replace("mass.p -> controller.p, mass.v -> controller.v, ", "")
+    lines, channels = [text.rstrip()], ["channels:"]
     edges = ["graph:", "  edges:"]
     for i, delay_ns in enumerate(delays_ns):
         p, v = SENDERS[i]
@@ -52,21 +54,22 @@ def scenario(delays_ns: tuple[int, ...], coupling: str) -> str:
     return "\n".join([*lines, *channels, *edges, f"coupling: {{{coupling}}}", ""])
 
 
-def simulate(delays_ns: tuple[int, ...], coupling: str) -> Accounted:
+def simulate(delays_ns: tuple[int, ...], coupling: str, *, feedback: bool = True) -> Accounted:
     seen = Accounted()
-    run(planned(scenario(delays_ns, coupling)), [seen])
+    run(planned(scenario(delays_ns, coupling, feedback=feedback)), [seen])
     return seen
 
 
-def exact(delays_ns: tuple[int, ...]) -> Floats:
+def exact(delays_ns: tuple[int, ...], *, feedback: bool = True) -> Floats:
     """The mass at every tick. Before a sender is heard, it counts as nothing."""
     heard: dict[int, Floats] = {}
     arrivals = sorted((k * 10**8 + delay, i, k) for k in range(TICKS) for i, delay in enumerate(delays_ns))
     ticks = [((k + 1) * 10**8, -1, k) for k in range(TICKS)]
     x, now, found = np.array([1.0, 0.0]), 0, [1.0]
     for at, sender, tick in sorted(arrivals + ticks):
-        n, pull = len(heard), sum((3.0 * p + 0.5 * v for p, v in heard.values()), 0.0)
-        whole = np.array([[0.0, 1.0, 0.0], [-1.0 - 3.0 * n, -2.5 - 0.5 * n, pull], [0.0, 0.0, 0.0]])
+        pull = sum((3.0 * p + 0.5 * v for p, v in heard.values()), 0.0)
+        stiffness, damping = (3.0 * len(heard), 2.0 + 0.5 * len(heard)) if feedback else (0.0, 0.0)
+        whole = np.array([[0.0, 1.0, 0.0], [-1.0 - stiffness, -0.5 - damping, pull], [0.0, 0.0, 0.0]])
         x = (expm((at - now) / 1e9 * whole) @ [*x, 1.0])[:2]
         now = at
         if sender < 0:
@@ -101,6 +104,20 @@ def test_both_loops_make_the_same_of_steps_of_a_nanosecond() -> None:
     for delays_ns in DELAYS.values():
         native, python = (simulate(delays_ns, f"method: midpoint, loop: {loop}") for loop in ("native", "python"))
         assert native.ticks == python.ticks
+
+
+@pytest.mark.parametrize("feedback", [True, False])
+@pytest.mark.parametrize("delays_ns", list(DELAYS.values())[2::2], ids=list(DELAYS)[2::2])
+def test_a_tolerance_sees_the_jumps(delays_ns: tuple[int, ...], *, feedback: bool) -> None:
+    """Without feedback, nobody reads what the mass does; it is recorded."""
+    true, errors = exact(delays_ns, feedback=feedback), []
+    for tolerance in (1e-3, 1e-5):
+        seen = simulate(delays_ns, f"method: midpoint, tolerance: {tolerance}", feedback=feedback)
+        account = seen.accounts[0]
+        assert account.agent == "hearer"
+        errors.append(float(np.abs(np.array(seen.rows)[:, 0] - true).max()))
+        assert errors[-1] < tolerance * account.steps
+    assert errors[1] < 0.1 * errors[0]
 
 
 @pytest.mark.parametrize("loop", ["native", "python"])

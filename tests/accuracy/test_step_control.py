@@ -13,6 +13,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import expm
 
 import fmus
 from cosim.agents.memory import LoopMemory
@@ -168,7 +169,57 @@ def test_arrivals_at_which_inputs_jump(*, rollback: bool) -> None:
 def test_nothing_connected_needs_no_short_steps() -> None:
     text = LOOP.replace("    connections: [plant.p -> pd.p, plant.v -> pd.v, pd.u -> plant.u]\n", "")
     (account,) = played(text.format(pd=PD, coupling="method: midpoint, tolerance: 1e-9")).accounts
-    assert (account.longest, account.rejected, account.variable) == (0.1, 0, "")
+    assert (account.longest, account.rejected) == (0.1, 0)
+    assert account.error < 1e-12
+
+
+FORWARD = """\
+period: 100 ms
+duration: 5 s
+agents:
+  1:
+    components: {{{components}}}
+    connections: [sine.phi -> mass.u]
+    record: {record}
+coupling: {{{coupling}}}
+"""
+SINE = '{python: "cosim.components.library:Sine", start: {amplitude: 1, frequency: 3}}'
+MASS = "{fmu: MassSpringDamper, start: {solver_step: 0.001}}"
+
+
+@pytest.mark.parametrize("names", [("sine", "mass"), ("mass", "sine")])
+@pytest.mark.parametrize(
+    ("method", "order", "tolerances"),
+    [("midpoint", 2, (1e-5, 1e-7)), ("gauss-seidel", 1, (1e-3, 1e-5)), ("jacobi", 1, (1e-3, 1e-5))],
+)
+def test_what_nobody_reads_keeps_to_the_tolerance_too(
+    names: tuple[str, str], method: str, order: int, tolerances: Sequence[float]
+) -> None:
+    """The sine has no error, and only its output is connected. p'' = sin(3 t) - 0.5 v - p, of (p, v, sin, cos)."""
+    matrix = np.array([[0, 1, 0, 0], [-1, -0.5, 1, 0], [0, 0, 0, 3], [0, 0, -3, 0]])
+    true = [(expm(0.1 * k * matrix) @ [0, 0, 0, 1])[0] for k in range(51)]
+    parts = {"sine": SINE, "mass": MASS}
+    components = ", ".join(f"{name}: {parts[name]}" for name in names)
+    errors = []
+    for tolerance in tolerances:
+        coupling = f"method: {method}, tolerance: {tolerance}"
+        seen = played(FORWARD.format(components=components, record="[mass.p]", coupling=coupling))
+        (account,) = seen.accounts
+        assert account.variable in {"mass.p", "mass.v"}
+        errors.append(float(np.abs(np.array(seen.rows)[:, 0] - true).max()))
+        assert errors[-1] < tolerance * account.steps
+    slope = np.polyfit(np.log10(tolerances), np.log10(errors), 1)[0]
+    assert slope == pytest.approx(order / (order + 1), abs=0.15)
+
+
+def test_a_tolerance_that_sees_nothing_is_a_warning(tmp_path: Path) -> None:
+    judge = '{python: "tests.accuracy.hand:Judge"}'
+    components = f"sine: {SINE}, mass: {MASS}, judge: {judge}"
+    text = FORWARD.format(components=components, record="[judge.right]", coupling="method: midpoint, tolerance: 1e-6")
+    text = text.replace("sine.phi -> mass.u", "mass.p -> judge.p")
+    done = cosim(tmp_path, "check", "net.yaml", text=text)
+    assert done.returncode == 0
+    assert "net.yaml:8:41: warning: 'tolerance' sees no error here: 'judge', which reads others, has no" in done.stderr
 
 
 # --- determinism ------------------------------------------------------------------------------------------------------
