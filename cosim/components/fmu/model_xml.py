@@ -129,8 +129,8 @@ def complete(model: Any, root: Any) -> None:
         relative = typed.get("relativeQuantity")
         v.relativeQuantity = None if relative is None else relative.strip() in ("true", "1")
         v.min, v.max = typed.get("min"), typed.get("max")
-        if starts := variable.findall("Start"):
-            v.start = [start.get("value") for start in starts]
+        if variable.tag in ("String", "Binary") and v.start is not None:  # FMI 3.0: an element each
+            v.start = [start.get("value") for start in variable.iterfind("Start")]
 
 
 def _variables(root: Any) -> Iterator[tuple[Any, Any]]:
