@@ -21,7 +21,7 @@ import traceback
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NoReturn, Protocol, Self
 
-from cosim import loading, scratch
+from cosim import native_loading, scratch
 from cosim.attention import TICK, Spot, idle
 from cosim.errors import ConfigError, CosimError, RunError
 from cosim.running.stopping import REQUESTS, StopRequest
@@ -212,7 +212,7 @@ class Watch:
 
     def _end(self, error: CosimError, code: int) -> NoReturn:
         # While a library is being loaded no other one can be, and closing the record takes some.
-        in_order = not loading.under_way and self._at_record.acquire(timeout=PATIENCE_SECONDS)
+        in_order = not native_loading.under_way and self._at_record.acquire(timeout=PATIENCE_SECONDS)
         say_at_once("")
         self._record.keep(error, in_order=in_order)
         say_at_once(f"error: {error}" if code == _FAILED else str(error))

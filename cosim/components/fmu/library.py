@@ -31,7 +31,7 @@ from cosim.components.fmu import model_xml
 from cosim.components.fmu.archive import Archive, inspect, refuse, unpack
 from cosim.components.fmu.binary import HEAD_BYTES, complete, unfit
 from cosim.errors import ComponentError
-from cosim.loading import load
+from cosim.native_loading import load
 from cosim.logs import Sink, discard
 
 with contextlib.redirect_stdout(io.StringIO()):  # where FMPy has no logger for the platform, it prints so
