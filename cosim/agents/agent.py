@@ -108,7 +108,9 @@ class Agent:
         """What a component's failure means for the run; its wish to end is none once that has begun."""
         time = float(self.state.time[0])
         kind = RunEndedError if begun and isinstance(error, EndRequestedError) else RunError
-        return kind(self.plan.name, error.component, time, error.message + self._hint(error), error.log)
+        return kind(
+            self.plan.name, error.component, time, error.message + (self._hint(error) if begun else ""), error.log
+        )
 
     def _hint(self, error: ComponentError) -> str:
         """What may help: shorter steps, where one was discarded or where numbers are not finite."""

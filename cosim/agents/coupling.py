@@ -545,14 +545,14 @@ class PythonLoop:
         for transfer in transfers:
             component = self._components[transfer.component]
             if transfer.direction is _SET:
-                for variable, positions, _, scales in transfer.parts:
+                for variable, positions, scales in transfer.parts:
                     component.set(variable, read[positions] if scales is None else scales(read[positions]))
                 continue
-            for variable, positions, zeros, scales in transfer.parts:
+            for variable, positions, scales in transfer.parts:
                 values = component.get(variable)
                 if scales is not None:
                     values = scales(values)
-                if zeros.dot(values) != 0.0:  # what is not finite gives NaN; cheaper than to ask for each number
+                if not np.isfinite(values).all():
                     raise ComponentError(component.name, f"output {variable.name} is not finite")
                 self._signals[positions] = values
 

@@ -56,7 +56,6 @@ class Transfer:
             Part(
                 variable,
                 _as_slice(self.positions[where]),
-                np.zeros(variable.size),
                 None if self.scales is None else Scales(self.scales.gains[where], self.scales.offsets[where]),
             )
             for variable, where in zip(self.variables, ranges, strict=True)
@@ -64,11 +63,10 @@ class Transfer:
 
 
 class Part(NamedTuple):
-    """One variable of a transfer, where its values lie (as a slice if they can be), as many zeros, and their scales."""
+    """One variable of a transfer, where its values lie (as a slice if they can be), and their scales."""
 
     variable: Variable
     positions: Positions | slice
-    zeros: NDArray[np.float64]
     scales: Scales | None
 
 

@@ -64,7 +64,7 @@ def close_after(error: BaseException, recorder: Recorder) -> None:
     """Leave a readable run folder behind a failure."""
     reason = str(error) if isinstance(error, CosimError) else f"{type(error).__name__}: {error}"
     with suppress(CosimError):  # the first failure is the one to tell
-        recorder.close(f"aborted: {reason.splitlines()[0]}")
+        recorder.close(f"aborted: {(reason.splitlines() or [type(error).__name__])[0]}")
     if isinstance(error, (RunError, ClusterError, NetworkError, OverrunError)):
         print(f"everything until then is in {recorder.folder}", file=sys.stderr)
     if isinstance(error, RunError):

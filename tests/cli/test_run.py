@@ -220,3 +220,21 @@ def test_help_does_not_import_what_it_does_not_need(tmp_path: Path) -> None:
         [sys.executable, "-c", code], cwd=tmp_path, env=environment(), text=True, capture_output=True, check=True
     )
     assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_an_output_that_begins_infinite(tmp_path: Path) -> None:
+    """A shorter step would not help, and NumPy's opinion is nobody's business."""
+    (tmp_path / "endless.py").write_text(
+        "from cosim.components.python import Output, PythonComponent\n\n\n"
+        "class Endless(PythonComponent):\n    y = Output(shape=(2,))\n\n"
+        "    def outputs(self, time):\n        self.y = [1.0, float('inf')]\n"
+    )
+    (tmp_path / "net.yaml").write_text(
+        "period: 100 ms\nduration: 1 s\nagents:\n"
+        '  one: {components: {node: {python: "endless:Endless"}}, record: [node.y]}\n'
+    )
+    done = cosim("run", "net.yaml", "--no-report", cwd=tmp_path)
+    assert done.returncode == 3
+    assert "error: agent one, component node, at t = 0 s: output y is not finite\n" in done.stderr
+    assert "coupling.step" not in done.stderr
+    assert "Warning" not in done.stderr

@@ -31,8 +31,8 @@ from cosim.components.fmu import model_xml
 from cosim.components.fmu.archive import Archive, inspect, refuse, unpack
 from cosim.components.fmu.binary import HEAD_BYTES, complete, unfit
 from cosim.errors import ComponentError
-from cosim.native_loading import load
 from cosim.logs import Sink, discard
+from cosim.native_loading import load
 
 with contextlib.redirect_stdout(io.StringIO()):  # where FMPy has no logger for the platform, it prints so
     import fmpy
