@@ -12,7 +12,7 @@ import numpy as np
 from cosim.components.component import Component, Description, Floats, Interface, Variable
 from cosim.components.opening import open_started
 from cosim.plan import ComponentPlan
-from cosim.planning.starts import NUMERIC
+from cosim.planning.starts import FLOATS, NUMERIC
 
 Values = Mapping[str, Floats]
 STEPS = 20
@@ -51,6 +51,11 @@ class Subject:
         """Continuous ones."""
         return [v for v in self.variables("input") if v.is_continuous]
 
+    @property
+    def discrete(self) -> list[Variable]:
+        """Inputs that change at events only."""
+        return [v for v in self.variables("input") if not v.is_continuous]
+
     @contextmanager
     def opened(self, *, started: bool = True) -> Iterator[Driver]:
         """An instance that is ended afterwards; initialised, unless that is up to the caller."""
@@ -64,9 +69,15 @@ class Subject:
             component.terminate()
 
     def signal(self, variable: Variable, time: float, phase: float = 0.0) -> Floats:
-        """What an input gets at a time: around its start value."""
-        start = np.array(variable.start if variable.start is not None else [0.0] * variable.size, dtype=float)
+        """What an input gets at a time: around its start value; of truth values and enumerations, each."""
         angles = 6.0 * time + phase + np.arange(variable.size)
+        if variable.dtype == "Boolean" or variable.items:
+            choice = np.array(sorted(variable.items.values()) or [0, 1], dtype=float)
+            chosen: Floats = choice[np.floor((0.5 + 0.499 * np.sin(angles)) * len(choice)).astype(int)]
+            return chosen
+        start = np.array(variable.start if variable.start is not None else [0.0] * variable.size, dtype=float)
+        if variable.dtype not in FLOATS:  # nobody says which others are allowed
+            return start
         values: Floats = start + 0.1 * (1.0 + np.abs(start)) * np.sin(angles)
         return values
 
@@ -96,9 +107,26 @@ class Driver:
             component.enter_step_mode()
 
     def set_inputs(self, phase: float = 0.0) -> None:
-        """What they get at this time."""
+        """What continuous ones get at this time."""
         for variable in self.subject.inputs:
             self.component.set(variable, self.subject.signal(variable, self.time, phase))
+
+    def set_discrete_inputs(self, phase: float = 0.0) -> None:
+        """What the others get at this time, at an event where the component has those."""
+        component = self.component
+        eventful = component.uses_events or self.subject.interface is Interface.MODEL_EXCHANGE
+        if not self.subject.discrete:
+            return
+        if eventful:
+            component.enter_event_mode()
+        for variable in self.subject.discrete:
+            component.set(variable, self.subject.signal(variable, self.time, phase))
+        if eventful:
+            component.update_discrete_states()
+        if self.subject.interface is Interface.MODEL_EXCHANGE:
+            component.enter_continuous_time_mode()
+        elif eventful:
+            component.enter_step_mode()
 
     def outputs(self) -> dict[str, Floats]:
         """By name."""
@@ -106,6 +134,7 @@ class Driver:
 
     def advance(self, step: float, phase: float = 0.0) -> None:
         """With the inputs held. Model Exchange: by the classical Runge-Kutta method."""
+        self.set_discrete_inputs(phase)
         self.set_inputs(phase)
         if self.subject.interface is Interface.CO_SIMULATION:
             self.component.step(self.time, step)

@@ -72,6 +72,22 @@ class Remembering(Lag):
         return {"x": self.u - self.x + 1e-3 * self.asked}
 
 
+class Switched(PythonComponent):
+    """Cannot be switched on."""
+
+    on = Input(dtype="Boolean")
+    x = State(1.0)
+    y = Output(depends_on=("on",))
+
+    def derivatives(self, time: float) -> Mapping[str, object]:
+        return {"x": -self.x}
+
+    def outputs(self, time: float) -> None:
+        if self.on:
+            raise ValueError("there is no light")
+        self.y = self.x
+
+
 class Fixed(Lag):
     """Its arrays have one size only."""
 

@@ -31,6 +31,13 @@ def test_shipped_fmus(name: str) -> None:
     }
 
 
+def test_discrete_inputs_change_too(probes: dict[int, Path]) -> None:
+    """The probe refuses them between events; the other one breaks where it gets what it did not begin with."""
+    for path in probes.values():
+        assert not re.search(r"Set\w+ returned Error", str(check(path)))
+    assert "ValueError: there is no light" in problems(check(components.Switched))["run"]
+
+
 def test_initial_unknowns_are_a_note(tmp_path: Path) -> None:
     """Two of three FMUs have them wrong, whatever tool they are from, and nothing here depends on them."""
     path = tmp_path / "arm.fmu"
