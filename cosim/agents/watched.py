@@ -44,7 +44,7 @@ def watched_outputs(
     names: dict[int, str] = {}
     watched, connected = list[int](), list[int]()
     for c, component in enumerate(components):
-        late = _read_late(wiring, c, jacobi=coupling.method is Method.JACOBI)
+        late = _read_late(wiring, c, component.description, jacobi=coupling.method is Method.JACOBI)
         states = component.description.states
         in_time, unknown = list[int](), list[int]()
         for variable, places in _variables((*wiring.outputs[c], *wiring.watch[c])):
@@ -71,13 +71,20 @@ def unwatched_readers(wiring: Wiring, components: Sequence[Described], coupling:
     return [] if seen or not rollback else [components[c].name for c in readers]
 
 
-def _read_late(wiring: Wiring, component: int, *, jacobi: bool) -> set[str]:
-    """The inputs of a component that are read before whoever gives them steps."""
-    return {
-        part.variable.name
+def _read_late(wiring: Wiring, component: int, description: Description, *, jacobi: bool) -> set[str]:
+    """The inputs of a component that are read before whoever gives them steps, under the names that dependencies have."""
+    read = [
+        part.variable
         for transfer in wiring.inputs[component]
         for part in transfer.parts
         if np.any(wiring.owner[part.positions] >= (0 if jacobi else component + 1))
+    ]
+    names = {variable.name for variable in read}
+    elements = {(variable.dtype, reference) for variable in read for reference in variable.references}
+    return names | {  # arrays of which only elements are fed
+        variable.name
+        for variable in (description.own or description).variables.values()
+        if not elements.isdisjoint((variable.dtype, reference) for reference in variable.references)
     }
 
 

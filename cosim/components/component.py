@@ -193,8 +193,9 @@ class Description:
     @property
     def states(self) -> frozenset[str]:
         """The continuous states that it tells of, under its own names: what it has the derivatives of."""
-        variables = (self.own or self).variables.values()
-        return frozenset(variable.derivative_of for variable in variables if variable.derivative_of is not None)
+        variables = (self.own or self).variables
+        found = {variable.derivative_of for variable in variables.values() if variable.derivative_of is not None}
+        return frozenset(name if name in variables else name.rpartition("[")[0] for name in found)  # FMI 2.0: `x[1]`
 
 
 class Component(ABC):

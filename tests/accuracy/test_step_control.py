@@ -212,6 +212,19 @@ def test_what_nobody_reads_keeps_to_the_tolerance_too(
     assert slope == pytest.approx(order / (order + 1), abs=0.15)
 
 
+@pytest.mark.parametrize("fmi", ["", ".fmi2"])
+def test_a_state_that_is_no_output_counts(fmi: str) -> None:
+    """The only output of the controller that changes continuously, its torque, shows the sine's error a step late."""
+    arm = f"{{fmu: ArmSyncController{fmi}, start: {{n_neighbours: 0, v_hat_start: [0.3, 0.6]}}}}"
+    text = FORWARD.format(
+        components=f"arm: {arm}, sine: {SINE}", record="[arm.u]", coupling="method: gauss-seidel, tolerance: 1e-4"
+    ).replace("sine.phi -> mass.u", "sine.phi -> arm.p1")
+    mapped = text.replace(f"arm: {arm}", f"arm: {arm[:-1]}, inputs: {{p1: {{to: 'p[1]'}}}}}}")
+    (account,) = played(mapped).accounts
+    assert account.variable.startswith(("arm.psi", "arm.eta", "arm.v_bar", "arm.theta_hat"))
+    assert account.longest < 0.1
+
+
 def test_a_tolerance_that_sees_nothing_is_a_warning(tmp_path: Path) -> None:
     judge = '{python: "tests.accuracy.hand:Judge"}'
     components = f"sine: {SINE}, mass: {MASS}, judge: {judge}"
