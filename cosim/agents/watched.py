@@ -72,7 +72,7 @@ def unwatched_readers(wiring: Wiring, components: Sequence[Described], coupling:
 
 
 def _read_late(wiring: Wiring, component: int, description: Description, *, jacobi: bool) -> set[str]:
-    """The inputs of a component that are read before whoever gives them steps, under the names that dependencies have."""
+    """The inputs of a component that are read before whoever gives them steps, named as dependencies name them."""
     read = [
         part.variable
         for transfer in wiring.inputs[component]
