@@ -430,7 +430,7 @@ def test_a_damaged_member_is_refused_when_unpacked(probe_library: Path, tmp_path
     path = write_fmu(tmp_path / "x.fmu", probe_library, description3(), {"resources/data.txt": "some data"})
     path.write_bytes(path.read_bytes().replace(b"some data", b"some dada"))
     with pytest.raises(ConfigError, match="cannot be unpacked: Bad CRC"):
-        library._unpacked(library.read(path))
+        library.open_library(library.read(path), Interface.CO_SIMULATION)
 
 
 OPEN = """
