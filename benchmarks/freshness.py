@@ -12,6 +12,7 @@ it gets one edge of 2,000 ticks; the results of both are compared.
 
 from __future__ import annotations
 
+import argparse
 import time
 from bisect import insort
 from collections.abc import Callable
@@ -104,6 +105,8 @@ def by_definition(log: EdgeLog, span: Span) -> tuple[float, list[tuple[int, int]
 
 def main() -> None:
     """Print seconds per part for both logs, and the comparison."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.parse_args()
     for n_agents, n_neighbours, n_ticks in ((10, 2, 60_000), (1000, 10, 120)):
         links, span = network(n_agents, n_neighbours), Span(n_ticks, PERIOD_NS)
         fates = record(links, n_ticks)

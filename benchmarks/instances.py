@@ -102,16 +102,16 @@ def agents(path: Path, interface: str, number: int, _library: str) -> dict[str, 
 
 def grown(opened: Callable[[], Any], number: int) -> dict[str, float]:
     """Seconds and bytes per call, and how often an FMU was extracted meanwhile."""
-    from cosim.components.fmu import library
+    from cosim.components.fmu.library import loading
 
     extractions: list[Path] = []
-    unpack = library.unpack
+    unpack = loading.unpack
 
     def counted(*arguments: Any) -> Path:
         extractions.append(unpack(*arguments))
         return extractions[-1]
 
-    library.unpack = counted  # type: ignore[attr-defined]
+    loading.unpack = counted  # type: ignore[attr-defined]
     before_first = opened() if number > 1 else None
     memory, begin = resident(), time.perf_counter()
     live = [opened() for _ in range(number)]
