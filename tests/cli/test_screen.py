@@ -91,27 +91,15 @@ def test_a_reader_that_has_gone_still_gets_the_report(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-"])
 def test_streams_that_are_closed(closed: str, tmp_path: Path) -> None:
-    line = f'exec "$@" {closed}'
-    run = [*COSIM, "run", "channel_sine", "--until", "2 s", "--out", "run", "--no-report"]
-    done = subprocess.run(
-        ["/bin/sh", "-c", line, "sh", *run],
-        cwd=tmp_path,
-        env=environment(),
-        text=True,
-        capture_output=True,
-        timeout=120,
-        check=False,
-    )
+    def cosim(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = ["/bin/sh", "-c", f'exec "$@" {closed}', "sh", *COSIM, *arguments]
+        return subprocess.run(
+            command, cwd=tmp_path, env=environment(), text=True, capture_output=True, timeout=120, check=False
+        )
+
+    done = cosim("run", "channel_sine", "--until", "2 s", "--out", "run", "--no-report")
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "complete"
-    wrong = subprocess.run(
-        ["/bin/sh", "-c", line, "sh", *COSIM, "run", "nothing.yaml"],
-        cwd=tmp_path,
-        env=environment(),
-        text=True,
-        capture_output=True,
-        timeout=120,
-        check=False,
-    )
+    wrong = cosim("run", "nothing.yaml")
     assert wrong.returncode == 2
     assert "Traceback" not in wrong.stderr
