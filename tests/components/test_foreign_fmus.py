@@ -121,6 +121,9 @@ def test_co_simulation_gives_the_bits_that_fmpy_gets(path: Path, tmp_path: Path)
         pytest.skip("takes steps of one length only")
     expected = np.array(in_fmpy(STEPPED, path, names))
     _, found = in_netcosim(path, tmp_path, names, {"method": "gauss-seidel"})
+    if not np.array_equal(found, expected):  # some give the processor time that they took, which is another every time
+        alike = (np.array(in_fmpy(STEPPED, path, names)) == expected).all(axis=0)
+        found, expected = found[:, alike], expected[:, alike]
     np.testing.assert_array_equal(found, expected)
 
 
