@@ -8,8 +8,9 @@ import pytest
 from cosim.agents.transfers import Direction
 from cosim.agents.wiring import AlgebraicLoopError, wire
 from cosim.components.component import Description, Interface, Variable
-from cosim.plan import AgentPlan, ComponentPlan, Connection, CouplingPlan, MailboxPlan, Method, Port
+from cosim.plan import AgentPlan, ComponentPlan, Connection, Method, Port
 from network.messages import MessageLayout
+from tests.agents.plans import alone
 
 DESCRIPTION = Description("M", "3.0", (Interface.MODEL_EXCHANGE,), {})
 
@@ -20,18 +21,8 @@ def port(component: int, name: str, causality: str, size: int = 1, feeds: tuple[
 
 
 def agent(connections: list[tuple[Port, Port]], n_components: int = 2, method: Method = Method.JOINT) -> AgentPlan:
-    return AgentPlan(
-        index=0,
-        name="a",
-        components=tuple(ComponentPlan(f"c{i}", None, "x:Y", DESCRIPTION, {}) for i in range(n_components)),
-        connections=tuple(Connection(source, target) for source, target in connections),
-        publish=(),
-        mailbox=MailboxPlan({}, None, None, None),
-        neighbours=(),
-        weights=(),
-        coupling=CouplingPlan(method, 1_000_000),
-        record=(),
-    )
+    components = (ComponentPlan(f"c{i}", None, "x:Y", DESCRIPTION, {}) for i in range(n_components))
+    return alone(components, connections, method=method)
 
 
 def loop(feedthrough_of_plant: tuple[str, ...] | None, method: Method = Method.JOINT) -> AgentPlan:

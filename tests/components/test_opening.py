@@ -12,22 +12,12 @@ from cosim.components.component import Component, Interface, Value
 from cosim.components.fmu import FmuComponent
 from cosim.components.opening import describe, open_components
 from cosim.errors import RunError
-from cosim.plan import AgentPlan, ComponentPlan, CouplingPlan, MailboxPlan, Method
+from cosim.plan import AgentPlan, ComponentPlan, Method
+from tests.agents.plans import alone
 
 
 def agent(*components: ComponentPlan, method: Method = Method.JOINT) -> AgentPlan:
-    return AgentPlan(
-        index=0,
-        name="7",
-        components=components,
-        connections=(),
-        publish=(),
-        mailbox=MailboxPlan({}, None, None, None),
-        neighbours=(),
-        weights=(),
-        coupling=CouplingPlan(method, 1_000_000),
-        record=(),
-    )
+    return alone(components, name="7", method=method)
 
 
 def sine() -> ComponentPlan:
